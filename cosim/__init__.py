@@ -1,0 +1,1 @@
+"""Closed-loop co-simulation with SUMO."""

@@ -1,0 +1,137 @@
+"""Transition operators of the paper (Sec. VI-C, VI-D) and their inverses.
+
+Each is a pair of pure functions, wrapped with the names and units of what it moves. `step` maps a state and an
+action to the next state, `inverse` maps two successive states to the action between them; `inverse(x, step(x, a))`
+is `a`. Leading axes are free, the feature axis is the last one.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+State = Float[Tensor, "*batch D"]
+Action = Float[Tensor, "*batch A"]
+
+
+class DynamicsName(StrEnum):
+    POINT_MASS_1D = "point_mass_1d"
+    DUBINS = "dubins"
+    POINT_MASS_2D = "point_mass_2d"
+
+
+@dataclass(frozen=True)
+class Dynamics:
+    """A transition operator with the names and SI units of its features."""
+
+    name: DynamicsName
+    state: tuple[str, ...]
+    state_units: tuple[str, ...]
+    action: tuple[str, ...]
+    action_units: tuple[str, ...]
+    step: Callable[[Tensor, Tensor, float], Tensor]
+    inverse: Callable[[Tensor, Tensor, float], Tensor]
+
+    def index(self, feature: str) -> int:
+        """Position of a state feature on the last axis."""
+        return self.state.index(feature)
+
+
+def _point_mass_1d_step(state: State, action: Action, dt: float) -> State:
+    """x' = x + v·Δt + a·Δt²/2,  v' = v + a·Δt,  a' = a + δa·Δt  (Sec. VI-C)."""
+    x, v, a = state.unbind(-1)
+    return torch.stack([x + v * dt + 0.5 * a * dt**2, v + a * dt, a + action[..., 0] * dt], dim=-1)
+
+
+def _point_mass_1d_inverse(state: State, next_state: State, dt: float) -> Action:
+    return (next_state[..., 2:3] - state[..., 2:3]) / dt
+
+
+def _dubins_step(state: State, action: Action, dt: float) -> State:
+    """x' = x + v·cosθ·Δt,  y' = y + v·sinθ·Δt,  v' = v + a·Δt,  θ' = θ + ω·Δt,  a' = a + δa·Δt,  ω' = ω + δω·Δt."""
+    x, y, v, heading, a, yaw_rate = state.unbind(-1)
+    jerk, yaw_acceleration = action.unbind(-1)
+    return torch.stack(
+        [
+            x + v * torch.cos(heading) * dt,
+            y + v * torch.sin(heading) * dt,
+            v + a * dt,
+            heading + yaw_rate * dt,
+            a + jerk * dt,
+            yaw_rate + yaw_acceleration * dt,
+        ],
+        dim=-1,
+    )
+
+
+def _dubins_inverse(state: State, next_state: State, dt: float) -> Action:
+    return (next_state[..., 4:6] - state[..., 4:6]) / dt
+
+
+def _point_mass_2d_step(state: State, action: Action, dt: float) -> State:
+    """Both axes move as the 1-D point mass does (Sec. VI-D: no heading in the recorded data)."""
+    x, y, vx, vy, ax, ay = state.unbind(-1)
+    jerk_x, jerk_y = action.unbind(-1)
+    return torch.stack(
+        [
+            x + vx * dt + 0.5 * ax * dt**2,
+            y + vy * dt + 0.5 * ay * dt**2,
+            vx + ax * dt,
+            vy + ay * dt,
+            ax + jerk_x * dt,
+            ay + jerk_y * dt,
+        ],
+        dim=-1,
+    )
+
+
+POINT_MASS_1D = Dynamics(
+    name=DynamicsName.POINT_MASS_1D,
+    state=("x", "v", "a"),
+    state_units=("m", "m/s", "m/s^2"),
+    action=("jerk",),
+    action_units=("m/s^3",),
+    step=_point_mass_1d_step,
+    inverse=_point_mass_1d_inverse,
+)
+DUBINS = Dynamics(
+    name=DynamicsName.DUBINS,
+    state=("x", "y", "v", "heading", "a", "yaw_rate"),
+    state_units=("m", "m", "m/s", "rad", "m/s^2", "rad/s"),
+    action=("jerk", "yaw_acceleration"),
+    action_units=("m/s^3", "rad/s^2"),
+    step=_dubins_step,
+    inverse=_dubins_inverse,
+)
+POINT_MASS_2D = Dynamics(
+    name=DynamicsName.POINT_MASS_2D,
+    state=("x", "y", "vx", "vy", "ax", "ay"),
+    state_units=("m", "m", "m/s", "m/s", "m/s^2", "m/s^2"),
+    action=("jerk_x", "jerk_y"),
+    action_units=("m/s^3", "m/s^3"),
+    step=_point_mass_2d_step,
+    inverse=_dubins_inverse,  # the action is the rate of the last two features here as well
+)
+
+_BY_NAME = {dynamics.name: dynamics for dynamics in (POINT_MASS_1D, DUBINS, POINT_MASS_2D)}
+
+
+def dynamics_named(name: DynamicsName | str) -> Dynamics:
+    """The dynamics of that name; a ValueError lists the known ones."""
+    return _BY_NAME[DynamicsName(name)]
+
+
+def stop_at_standstill(state: Float[Tensor, "*batch 3"], next_state: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
+    """Let a 1-D point mass that would roll backwards stand still instead.
+
+    The paper's equations know no standstill; in stop-and-go traffic v' = v + a·Δt < 0 would mean reversing. Where v'
+    is negative the vehicle stops after its remaining braking distance v²/(−2a), with v' = 0 and a' = 0.
+    """
+    x, v, a = state.unbind(-1)
+    reversing = next_state[..., 1] < 0
+    stopping_distance = torch.where(a < 0, v.clamp(min=0) ** 2 / (-2 * a).clamp(min=1e-6), torch.zeros_like(x))
+    stopped = torch.stack([x + stopping_distance, torch.zeros_like(v), torch.zeros_like(a)], dim=-1)
+    return torch.where(reversing[..., None], stopped, next_state)

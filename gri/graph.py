@@ -1,0 +1,100 @@
+"""Interaction graphs: a categorical variable on every ordered pair of vehicles.
+
+`z[i, j]` is the effect of vehicle i on vehicle j: with `z[1, 0] = FOLLOW`, vehicle 0 follows vehicle 1 (Sec. III-A,
+IV). The E = N(N−1) ordered pairs stand in lexicographic order (sender, receiver).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+
+class EdgeType(StrEnum):
+    """What the receiver does towards the sender (Sec. VI-C)."""
+
+    NONE = "none"
+    FOLLOW = "follow"
+    YIELD = "yield"
+    CUT_IN = "cut_in"
+
+
+Vocabulary = tuple[EdgeType, ...]
+FOLLOWING: Vocabulary = (EdgeType.NONE, EdgeType.FOLLOW)
+LANE_CHANGING: Vocabulary = (EdgeType.NONE, EdgeType.FOLLOW, EdgeType.YIELD, EdgeType.CUT_IN)
+
+
+def pairs(n: int) -> list[tuple[int, int]]:
+    """All ordered pairs (sender, receiver) of n vehicles, in the order of the edge axis."""
+    return [(i, j) for i in range(n) for j in range(n) if i != j]
+
+
+def agents_of(edges: int) -> int:
+    """N for a number of ordered pairs E = N(N−1)."""
+    n = int((1 + (1 + 4 * edges) ** 0.5) / 2)
+    assert n * (n - 1) == edges, f"{edges} is not N(N-1) for any N"
+    return n
+
+
+@dataclass(frozen=True)
+class InteractionGraph:
+    """Distributions over edge types; the vocabulary says what index k means."""
+
+    logits: Float[Tensor, "B E K"]
+    vocabulary: Vocabulary
+
+    def __post_init__(self) -> None:
+        assert self.logits.shape[-1] == len(self.vocabulary), f"{self.logits.shape} does not fit {self.vocabulary}"
+
+    @classmethod
+    def certain(cls, types: Int[Tensor, "B E"], vocabulary: Vocabulary) -> "InteractionGraph":
+        """A graph known for sure: all probability (up to e⁻³⁰) on the given type indices."""
+        return cls((torch.nn.functional.one_hot(types, len(vocabulary)).float() - 1) * 30, vocabulary)
+
+    @classmethod
+    def of_edges(
+        cls, edges: Mapping[tuple[int, int], EdgeType], vocabulary: Vocabulary, n: int = 3, batch: int = 1
+    ) -> "InteractionGraph":
+        """The certain graph in which the named pairs (sender, receiver) have the named type and all others none."""
+        types = [vocabulary.index(edges.get(pair, EdgeType.NONE)) for pair in pairs(n)]
+        return cls.certain(torch.tensor([types] * batch), vocabulary)
+
+    @property
+    def probs(self) -> Float[Tensor, "B E K"]:
+        return self.logits.softmax(-1)
+
+    @property
+    def map(self) -> Int[Tensor, "B E"]:
+        """Index of the most probable type of each edge."""
+        return self.logits.argmax(-1)
+
+    @property
+    def one_hot(self) -> Float[Tensor, "B E K"]:
+        """The MAP graph as one-hot vectors."""
+        return torch.nn.functional.one_hot(self.map, self.logits.shape[-1]).to(self.logits.dtype)
+
+    def sample(self, generator: torch.Generator, temperature: float = 0.5) -> Float[Tensor, "B E K"]:
+        """Straight-through Gumbel-softmax: exact one-hot samples whose gradient is the relaxed sample's."""
+        uniform = torch.rand(self.logits.shape, generator=generator, dtype=self.logits.dtype)
+        gumbel = -torch.log(-torch.log(uniform.clamp(1e-9, 1 - 1e-7)))
+        soft = ((self.logits + gumbel) / temperature).softmax(-1)
+        hard = torch.nn.functional.one_hot(soft.argmax(-1), soft.shape[-1]).to(soft.dtype)
+        return hard + soft - soft.detach()
+
+    def __len__(self) -> int:
+        return self.logits.shape[0]
+
+    def __getitem__(self, scenes: Tensor | slice) -> "InteractionGraph":
+        return InteractionGraph(self.logits[scenes], self.vocabulary)
+
+    def edges(self, scene: int = 0) -> dict[tuple[int, int], tuple[EdgeType, float]]:
+        """MAP type and its probability of every pair that is not `none`, for one scene."""
+        types, probs = self.map[scene].tolist(), self.probs[scene].tolist()
+        return {
+            pair: (self.vocabulary[k], p[k])
+            for pair, k, p in zip(pairs(agents_of(len(types))), types, probs, strict=True)
+            if self.vocabulary[k] is not EdgeType.NONE
+        }
