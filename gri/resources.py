@@ -1,0 +1,20 @@
+"""Where the files that come with the project are.
+
+A source tree keeps `scenarios/` and `sumo_nets/` at its top level; a wheel carries the same folders inside the package,
+so that names like `us101_car_following` work from anywhere after an install.
+"""
+
+from pathlib import Path
+
+_PACKAGE = Path(__file__).parent
+
+
+def shipped(*parts: str) -> Path:
+    """The path of a file or folder that comes with the project, e.g. `shipped("scenarios", "x.yaml")`."""
+    bundled = _PACKAGE / "_bundled"
+    return (bundled if bundled.is_dir() else _PACKAGE.parent).joinpath(*parts)
+
+
+def checkpoint(name: str) -> Path:
+    """The path of a released checkpoint, by its bare name."""
+    return _PACKAGE / "checkpoints" / f"{name}.pt"
