@@ -1,1 +1,1 @@
-"""Grounded Relational Inference: graphs of semantic relations between vehicles, and policies that obey them."""
+"""Grounded Relational Inference: graphs of relations between vehicles, and policies that obey them."""

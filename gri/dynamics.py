@@ -1,8 +1,8 @@
 """Transition operators of the paper (Sec. VI-C, VI-D) and their inverses.
 
-Each is a pair of pure functions, wrapped with the names and units of what it moves. `step` maps a state and an
-action to the next state, `inverse` maps two successive states to the action between them; `inverse(x, step(x, a))`
-is `a`. Leading axes are free, the feature axis is the last one.
+Each is a pair of pure functions, wrapped with the names and units of what it moves. `step` maps a state and
+an action to the next state, `inverse` maps two successive states to the action between them; `inverse(x,
+step(x, a))` is `a`. Leading axes are free, the feature axis is the last one.
 """
 
 from collections.abc import Callable
@@ -51,7 +51,11 @@ def _point_mass_1d_inverse(state: State, next_state: State, dt: float) -> Action
 
 
 def _dubins_step(state: State, action: Action, dt: float) -> State:
-    """x' = x + v·cosθ·Δt,  y' = y + v·sinθ·Δt,  v' = v + a·Δt,  θ' = θ + ω·Δt,  a' = a + δa·Δt,  ω' = ω + δω·Δt."""
+    """Dubins' car (Sec. VI-C).
+
+    x' = x + v·cosθ·Δt,  y' = y + v·sinθ·Δt,  v' = v + a·Δt,
+    θ' = θ + ω·Δt,       a' = a + δa·Δt,      ω' = ω + δω·Δt.
+    """
     x, y, v, heading, a, yaw_rate = state.unbind(-1)
     jerk, yaw_acceleration = action.unbind(-1)
     return torch.stack(
@@ -124,14 +128,19 @@ def dynamics_named(name: DynamicsName | str) -> Dynamics:
     return _BY_NAME[DynamicsName(name)]
 
 
-def stop_at_standstill(state: Float[Tensor, "*batch 3"], next_state: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3"]:
+def stop_at_standstill(
+    state: Float[Tensor, "*batch 3"], next_state: Float[Tensor, "*batch 3"]
+) -> Float[Tensor, "*batch 3"]:
     """Let a 1-D point mass that would roll backwards stand still instead.
 
-    The paper's equations know no standstill; in stop-and-go traffic v' = v + a·Δt < 0 would mean reversing. Where v'
-    is negative the vehicle stops after its remaining braking distance v²/(−2a), with v' = 0 and a' = 0.
+    The paper's equations know no standstill; in stop-and-go traffic v' = v + a·Δt < 0 would mean reversing.
+    Where v' is negative the vehicle stops after its remaining braking distance v²/(−2a), with v' = 0 and a' =
+    0.
     """
     x, v, a = state.unbind(-1)
     reversing = next_state[..., 1] < 0
-    stopping_distance = torch.where(a < 0, v.clamp(min=0) ** 2 / (-2 * a).clamp(min=1e-6), torch.zeros_like(x))
+    stopping_distance = torch.where(
+        a < 0, v.clamp(min=0) ** 2 / (-2 * a).clamp(min=1e-6), torch.zeros_like(x)
+    )
     stopped = torch.stack([x + stopping_distance, torch.zeros_like(v), torch.zeros_like(a)], dim=-1)
     return torch.where(reversing[..., None], stopped, next_state)

@@ -1,7 +1,7 @@
 """Interaction graphs: a categorical variable on every ordered pair of vehicles.
 
-`z[i, j]` is the effect of vehicle i on vehicle j: with `z[1, 0] = FOLLOW`, vehicle 0 follows vehicle 1 (Sec. III-A,
-IV). The E = N(N−1) ordered pairs stand in lexicographic order (sender, receiver).
+`z[i, j]` is the effect of vehicle i on vehicle j: with `z[1, 0] = FOLLOW`, vehicle 0 follows vehicle 1 (Sec.
+III-A, IV). The E = N(N−1) ordered pairs stand in lexicographic order (sender, receiver).
 """
 
 from collections.abc import Mapping
@@ -47,7 +47,9 @@ class InteractionGraph:
     vocabulary: Vocabulary
 
     def __post_init__(self) -> None:
-        assert self.logits.shape[-1] == len(self.vocabulary), f"{self.logits.shape} does not fit {self.vocabulary}"
+        assert self.logits.shape[-1] == len(self.vocabulary), (
+            f"{self.logits.shape} does not fit {self.vocabulary}"
+        )
 
     @classmethod
     def certain(cls, types: Int[Tensor, "B E"], vocabulary: Vocabulary) -> "InteractionGraph":
@@ -58,7 +60,9 @@ class InteractionGraph:
     def of_edges(
         cls, edges: Mapping[tuple[int, int], EdgeType], vocabulary: Vocabulary, n: int = 3, batch: int = 1
     ) -> "InteractionGraph":
-        """The certain graph in which the named pairs (sender, receiver) have the named type and all others none."""
+        """The certain graph in which the named pairs (sender, receiver) have the named type and all others
+        none.
+        """
         types = [vocabulary.index(edges.get(pair, EdgeType.NONE)) for pair in pairs(n)]
         return cls.certain(torch.tensor([types] * batch), vocabulary)
 

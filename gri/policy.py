@@ -1,7 +1,8 @@
 """The Policy protocol and the policies that need no training.
 
-A policy sees the history of B groups once (`begin`) and then, step by step, their current state (`act`). Whoever runs
-it moves the vehicles with the policy's dynamics and decides which of them the action is applied to.
+A policy sees the history of B groups once (`begin`) and then, step by step, their current state (`act`).
+Whoever runs it moves the vehicles with the policy's dynamics and decides which of them the action is applied
+to.
 """
 
 from collections.abc import Sequence
@@ -19,7 +20,8 @@ from gri.types import Trajectory
 
 @dataclass(frozen=True)
 class PolicyState:
-    """What a policy remembers of B groups: the graph it believes in (None: it has no notion of one) and a memory.
+    """What a policy remembers of B groups: the graph it believes in (None: it has no notion of one) and a
+    memory.
 
     `memory` is whatever recurrent state the policy keeps, H = 0 where it keeps none.
     """
@@ -95,9 +97,10 @@ class ConstantVelocity:
 class IntelligentDriver:
     """The intelligent driver model behind the nearest vehicle ahead in the group (Treiber et al. 2000).
 
-    a = a_max·[1 − (v/v0)⁴ − (s*/s)²],  s* = s0 + max(0, v·T + v·Δv / (2√(a_max·b))), with the net gap s = Δx − length.
-    The jerk brings next step's acceleration to that value. Defaults: means of the IDM population fitted to the US-101
-    recordings (docs/sources.md), `desired_speed` the 65 mph posted on California freeways.
+    a = a_max·[1 − (v/v0)⁴ − (s*/s)²],  s* = s0 + max(0, v·T + v·Δv / (2√(a_max·b))), with the net gap s = Δx
+    − length. The jerk brings next step's acceleration to that value. Defaults: means of the IDM population
+    fitted to the US-101 recordings (docs/sources.md), `desired_speed` the 65 mph posted on California
+    freeways.
     """
 
     dt: float
@@ -122,7 +125,9 @@ class IntelligentDriver:
         headway, leader = ahead.min(-1)
         closing = v - v.gather(1, leader)
         gap = (headway - self.length).clamp(min=0.1)
-        dynamic_gap = v * self.time_headway + v * closing / (2 * (self.acceleration * self.deceleration) ** 0.5)
+        dynamic_gap = v * self.time_headway + v * closing / (
+            2 * (self.acceleration * self.deceleration) ** 0.5
+        )
         wanted_gap = self.minimum_gap + dynamic_gap.clamp(min=0)
         interaction = torch.where(torch.isinf(headway), torch.zeros_like(gap), (wanted_gap / gap) ** 2)
         target = self.acceleration * (1 - (v / self.desired_speed) ** 4 - interaction)

@@ -1,7 +1,7 @@
 """Where the files that come with the project are.
 
-A source tree keeps `scenarios/` and `sumo_nets/` at its top level; a wheel carries the same folders inside the package,
-so that names like `us101_car_following` work from anywhere after an install.
+A source tree keeps `scenarios/` and `sumo_nets/` at its top level; a wheel carries the same folders inside
+the package, so that names like `us101_car_following` work from anywhere after an install.
 """
 
 from pathlib import Path

@@ -11,8 +11,8 @@ from torch import Tensor
 class Trajectory:
     """States of N agents over T instants, for B scenes.
 
-    `state` is in the layout of the dynamics it is used with (SI units). `valid` says which entries exist; entries
-    that do not exist hold zeros. `dt` [s] is the sampling time.
+    `state` is in the layout of the dynamics it is used with (SI units). `valid` says which entries exist;
+    entries that do not exist hold zeros. `dt` [s] is the sampling time.
     """
 
     state: Float[Tensor, "B N T D"]

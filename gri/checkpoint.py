@@ -1,0 +1,145 @@
+"""Models as files: a plain dict of tensors and JSON text that can be read without running foreign code."""
+
+import os
+import pickle
+import tempfile
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import torch
+from torch import Tensor
+
+from gri.errors import InputError
+from gri.model import ModelConfig, RelationalModel
+from gri.rewards import RewardConfig, StructuredReward
+
+FORMAT = "gri-checkpoint"
+VERSION = 1
+
+
+def save(
+    path: Path | str,
+    model: RelationalModel,
+    reward: StructuredReward | None = None,
+    provenance: Mapping[str, Any] | None = None,
+) -> None:
+    """Write the model (and the reward it was grounded in) so that the file appears whole or not at all."""
+    config, dynamics = model.config, model.dynamics
+    _write(
+        Path(path),
+        {
+            "format": FORMAT,
+            "version": VERSION,
+            "config": msgspec.json.encode(config).decode(),
+            "dt": config.dt,
+            "history_steps": config.history_steps,
+            "vocabulary": [str(k) for k in config.vocabulary],
+            "state": list(dynamics.state),
+            "action": list(dynamics.action),
+            "tensors": {name: tensor.detach().clone() for name, tensor in model.state_dict().items()},
+            "reward_config": msgspec.json.encode(reward.config).decode() if reward else "",
+            "reward_tensors": _tensors(reward),
+            "provenance": msgspec.json.encode(dict(provenance or {})).decode(),
+        },
+    )
+
+
+def _tensors(reward: StructuredReward | None) -> dict[str, Tensor]:
+    return {name: tensor.detach().clone() for name, tensor in reward.state_dict().items()} if reward else {}
+
+
+def _write(path: Path, content: dict[str, Any]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
+    try:
+        with os.fdopen(handle, "wb") as file:
+            torch.save(content, file)
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except BaseException:
+        Path(temporary).unlink(missing_ok=True)
+        raise
+
+
+def load(path: Path | str) -> RelationalModel:
+    """The model of a checkpoint, ready to drive."""
+    content = _read(Path(path))
+    config = _decoded(content["config"], ModelConfig, path)
+    model = RelationalModel(config)
+    _check_layout(content, model, path)
+    try:
+        model.load_state_dict(content["tensors"])
+    except RuntimeError as error:
+        raise InputError(
+            f"{path}: tensors do not fit the stored configuration ({_line(error)}); {_REMAKE}"
+        ) from error
+    return model.requires_grad_(False).eval()
+
+
+def load_reward(path: Path | str) -> StructuredReward | None:
+    """The reward the checkpoint's model was grounded in; None where it was trained without one."""
+    content = _read(Path(path))
+    if not content["reward_config"]:
+        return None
+    reward = StructuredReward(_decoded(content["reward_config"], RewardConfig, path))
+    reward.load_state_dict(content["reward_tensors"])
+    return reward.requires_grad_(False).eval()
+
+
+def provenance(path: Path | str) -> dict[str, Any]:
+    """How the checkpoint was made: scenario, seed, versions, figures."""
+    return msgspec.json.decode(_read(Path(path))["provenance"])
+
+
+_REMAKE = "make it again with `gri train`"
+
+
+def _read(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        raise InputError(f"{path}: no such checkpoint; make one with `gri train`")
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except (RuntimeError, EOFError, ValueError, KeyError, OSError, pickle.UnpicklingError) as error:
+        raise InputError(
+            f"{path}: not a readable checkpoint, damaged or cut short ({_line(error)}); {_REMAKE}"
+        ) from error
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise InputError(f"{path}: a torch file, but not a {FORMAT}; give a file written by `gri train`")
+    if content.get("version") != VERSION:
+        raise InputError(
+            f"{path}: got format version {content.get('version')}, this release reads {VERSION}; {_REMAKE}"
+        )
+    return content
+
+
+def _decoded(text: str, kind: type, path: Path | str) -> Any:
+    try:
+        return msgspec.json.decode(text, type=kind)
+    except msgspec.DecodeError as error:
+        raise InputError(
+            f"{path}: its stored configuration does not fit this release ({error}); {_REMAKE}"
+        ) from error
+
+
+def _check_layout(content: dict[str, Any], model: RelationalModel, path: Path | str) -> None:
+    """The file states its layout beside the configuration; the two must agree with what this release means by
+    it.
+    """
+    wanted = {
+        "dt": model.config.dt,
+        "history_steps": model.config.history_steps,
+        "vocabulary": [str(k) for k in model.config.vocabulary],
+        "state": list(model.dynamics.state),
+        "action": list(model.dynamics.action),
+    }
+    for field, value in wanted.items():
+        if content.get(field) != value:
+            raise InputError(
+                f"{path}: got {field} {content.get(field)}, this release wants {value}; {_REMAKE}"
+            )
+
+
+def _line(error: Exception) -> str:
+    return str(error).strip().split("\n")[0][:120]

@@ -1,0 +1,118 @@
+"""The relational policy: an encoder that infers the graph and a decoder that drives by it.
+
+GRI, NRI and their ablations are this class with an encoder, the Supervised baseline is it with a given graph.
+They differ in how they are trained (`gri.objectives`).
+"""
+
+import msgspec
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from gri.decoder import Decoder, DecoderConfig, dense
+from gri.dynamics import Dynamics, DynamicsName, dynamics_named, stop_at_standstill
+from gri.encoder import Encoder, EncoderConfig
+from gri.graph import FOLLOWING, EdgeType, InteractionGraph
+from gri.policy import PolicyState
+from gri.scale import CAR_FOLLOWING_PAPER, Scale
+from gri.types import Trajectory
+
+
+class Edge(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """`sender` affects `receiver` in the way `type` says: vehicle 0 follows vehicle 1 is 1 → 0."""
+
+    sender: int
+    receiver: int
+    type: EdgeType
+
+
+CHAIN = (
+    Edge(sender=1, receiver=0, type=EdgeType.FOLLOW),
+    Edge(sender=2, receiver=1, type=EdgeType.FOLLOW),
+)
+
+
+class ModelConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """All there is to know to rebuild a model from its tensors."""
+
+    dynamics: DynamicsName = DynamicsName.POINT_MASS_1D
+    vocabulary: tuple[EdgeType, ...] = FOLLOWING
+    dt: float = 0.2
+    history_steps: int = 20
+    """States the encoder is shown before it decides on the graph."""
+    never_reverse: bool = False
+    """Roll-outs stop at v = 0 (1-D point mass only)."""
+    scale: Scale = CAR_FOLLOWING_PAPER
+    decoder: DecoderConfig = DecoderConfig()
+    encoder: EncoderConfig | None = EncoderConfig()
+    """Without an encoder the model believes in `graph`, whatever it sees."""
+    graph: tuple[Edge, ...] = CHAIN
+
+
+class RelationalModel(nn.Module):
+    """A `gri.policy.Policy` that acts by the graph in its `PolicyState`; replace that graph to overrule its
+    belief.
+    """
+
+    def __init__(self, config: ModelConfig) -> None:
+        super().__init__()
+        self.config = config
+        types = len(config.vocabulary)
+        self.decoder = Decoder(config.decoder, config.scale, types)
+        self.encoder = Encoder(config.encoder, config.scale, types, config.dt) if config.encoder else None
+
+    @property
+    def dynamics(self) -> Dynamics:
+        return dynamics_named(self.config.dynamics)
+
+    @property
+    def dt(self) -> float:
+        return self.config.dt
+
+    @property
+    def history_steps(self) -> int:
+        return self.config.history_steps
+
+    def infer(self, state: Float[Tensor, "B N T D"]) -> InteractionGraph:
+        """The graph the model believes in after it has seen these states."""
+        if self.encoder is not None:
+            return InteractionGraph(self.encoder(state), self.config.vocabulary)
+        edges = {(edge.sender, edge.receiver): edge.type for edge in self.config.graph}
+        return InteractionGraph.of_edges(
+            edges, self.config.vocabulary, n=state.shape[1], batch=state.shape[0]
+        )
+
+    @torch.no_grad()
+    def begin(self, history: Trajectory) -> PolicyState:
+        """Infer the graph from the last `history_steps` states; complete trajectories only."""
+        missing = int((~history.valid).sum())
+        if missing:
+            raise ValueError(
+                f"got a history with {missing} missing states, wanted all N x T to exist; "
+                "leave out groups in which a vehicle was not seen"
+            )
+        if abs(history.dt - self.dt) > 1e-6:
+            raise ValueError(
+                f"got a history sampled every {history.dt} s, the model wants {self.dt} s; resample it"
+            )
+        return PolicyState(
+            self.infer(history.state[:, :, -self.history_steps :]), self.memory(history.initial)
+        )
+
+    def memory(self, state: Float[Tensor, "B N D"]) -> Float[Tensor, "B N H"]:
+        """The empty memory a roll-out starts with."""
+        return state.new_zeros(*state.shape[:2], self.decoder.memory_size)
+
+    @torch.no_grad()
+    def act(
+        self, memory: PolicyState, state: Float[Tensor, "B N D"]
+    ) -> tuple[Float[Tensor, "B N A"], PolicyState]:
+        """Mean action under the most probable graph."""
+        assert memory.graph is not None, "begin() gives a PolicyState with a graph"
+        action, recurrent = self.decoder(state, dense(memory.graph.one_hot), memory.memory)
+        return action, PolicyState(memory.graph, recurrent)
+
+    def step(self, state: Float[Tensor, "B N D"], action: Float[Tensor, "B N A"]) -> Float[Tensor, "B N D"]:
+        """The next state under the model's dynamics."""
+        moved = self.dynamics.step(state, action, self.dt)
+        return stop_at_standstill(state, moved) if self.config.never_reverse else moved
