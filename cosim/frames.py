@@ -1,0 +1,84 @@
+"""Reference points and frames, converted here and nowhere else.
+
+World: SUMO's Cartesian plane [m]. A vehicle's pose is its **front-bumper centre** and its heading [rad],
+counter-clockwise from +x. SUMO says angles in navigational degrees (0 = north, clockwise).
+Road: `s` [m] along the reference line of a road from its origin, `d` [m] to its left.
+Model: as road, but every vehicle ahead counts as `NOMINAL_LENGTH` long, because the paper's headways are differences of
+positions and know no lengths (see `model_offsets`).
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+NOMINAL_LENGTH = 5.0  # [m], of a vehicle ahead in the model's frame
+
+
+def heading_of(sumo_angle: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """Heading [rad, counter-clockwise from +x] of a navigational angle [deg], in (−π, π]."""
+    heading = np.deg2rad(90.0 - sumo_angle)
+    return -((-heading + np.pi) % (2 * np.pi) - np.pi)
+
+
+def sumo_angle_of(heading: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """Navigational angle [deg, 0 = north, clockwise] of a heading, in [0, 360)."""
+    return (90.0 - np.rad2deg(heading)) % 360.0
+
+
+@dataclass(frozen=True)
+class RoadFrame:
+    """Arc-length coordinates along a polyline.
+
+    `points` are the reference line's vertices, `origin` [m] is the arc length at which s = 0. Beyond its ends the line
+    goes on straight. A point is projected onto the segment it is nearest to.
+    """
+
+    points: Float[np.ndarray, "M 2"]
+    origin: float = 0.0
+
+    @cached_property
+    def _segments(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Start, unit direction and start arc length of each segment."""
+        delta = np.diff(self.points, axis=0)
+        length = np.hypot(delta[:, 0], delta[:, 1])
+        assert (length > 0).all(), "the reference line has a repeated point"
+        return self.points[:-1], delta / length[:, None], np.concatenate([[0.0], np.cumsum(length)])
+
+    def to_road(self, xy: Float[np.ndarray, "V 2"]) -> tuple[Float[np.ndarray, " V"], Float[np.ndarray, " V"]]:
+        """Coordinates (s, d) of world points."""
+        start, direction, arc = self._segments
+        relative = xy[:, None, :] - start[None]  # Shape: (V, M-1, 2)
+        along = (relative * direction).sum(-1)
+        across = direction[None, :, 0] * relative[..., 1] - direction[None, :, 1] * relative[..., 0]
+        low, high = np.zeros(len(direction)), np.diff(arc)
+        low[0], high[-1] = -np.inf, np.inf
+        overshoot = along - np.clip(along, low, high)
+        nearest = np.argmin(np.hypot(overshoot, across), axis=1)
+        rows = np.arange(len(xy))
+        return arc[nearest] + along[rows, nearest] - self.origin, across[rows, nearest]
+
+    def to_world(
+        self, s: Float[np.ndarray, " V"], d: Float[np.ndarray, " V"]
+    ) -> tuple[Float[np.ndarray, "V 2"], Float[np.ndarray, " V"]]:
+        """World points at road coordinates, and the heading of the road there [rad]."""
+        start, direction, arc = self._segments
+        segment = np.clip(np.searchsorted(arc, s + self.origin, side="right") - 1, 0, len(direction) - 1)
+        forward = direction[segment]
+        left = np.stack([-forward[:, 1], forward[:, 0]], axis=1)
+        along = (s + self.origin - arc[segment])[:, None]
+        return start[segment] + along * forward + d[:, None] * left, np.arctan2(forward[:, 1], forward[:, 0])
+
+
+def model_offsets(length: Float[np.ndarray, "G 3"], order: tuple[int, ...] = (0, 1, 2)) -> Float[np.ndarray, "G 3"]:
+    """What to add to `s` of each vehicle so that its headway is the net gap behind it plus `NOMINAL_LENGTH`.
+
+    `order` lists the roles from the rear to the front. The offset of the rearmost vehicle is 0; each vehicle ahead is
+    shifted by what the vehicles from there on are shorter or longer than nominal. Offsets are constant in time, so
+    speeds, accelerations and the dynamics are untouched.
+    """
+    offsets = np.zeros_like(length)
+    for behind, ahead in zip(order, order[1:], strict=False):
+        offsets[:, ahead] = offsets[:, behind] + NOMINAL_LENGTH - length[:, ahead]
+    return offsets

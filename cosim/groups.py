@@ -1,0 +1,118 @@
+"""Finding three interacting vehicles in traffic; pure functions of a history of snapshots.
+
+Roles: in car following 0 follows 1 follows 2; in merging 0 merges between the lag vehicle 1 and the leader 2. Vehicle 2 is
+the given leader and stays SUMO's (Sec. VI-C, VI-D of the paper).
+"""
+
+from collections.abc import Sequence, Set
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosim.safety import net_gap
+from cosim.scenario import CarFollowing, Merge
+from cosim.sumo import Snapshot
+
+SAME_LANE = 1.0  # [m] of lateral distance; lanes are wider than 3 m, vehicles keep to their centres
+
+
+@dataclass(frozen=True)
+class Group:
+    """The ordered ids (0, 1, 2) of three interacting vehicles, and since when [s] they are one."""
+
+    ids: tuple[str, str, str]
+    time: float
+
+
+def lane_leaders(snapshot: Snapshot) -> dict[str, str]:
+    """The next vehicle ahead in the same lane, for every vehicle that has one."""
+    order = np.argsort(snapshot.s)
+    last: list[tuple[float, int]] = []  # (d, row) of the foremost vehicle seen so far in each lane, walking backwards
+    leaders = {}
+    for row in order[::-1]:
+        lane = next((k for k, (d, _) in enumerate(last) if abs(d - snapshot.d[row]) < SAME_LANE), None)
+        if lane is None:
+            last.append((float(snapshot.d[row]), int(row)))
+            continue
+        leaders[snapshot.ids[row]] = snapshot.ids[last[lane][1]]
+        last[lane] = float(snapshot.d[row]), int(row)
+    return leaders
+
+
+def select(
+    history: Sequence[Snapshot],
+    rule: CarFollowing | Merge,
+    *,
+    zone: tuple[float, float],
+    eligible: Set[str],
+    limit: int,
+) -> list[Group]:
+    """Up to `limit` groups that fit the rule, from the front of the zone to its rear, no vehicle in two.
+
+    `zone` [m] is where vehicle 0 and 2 must be at the end of the history; only `eligible` vehicles are taken.
+    """
+    find = _chains if isinstance(rule, CarFollowing) else _merges
+    now, taken, groups = history[-1], set(), []
+    rows = now.rows(now.ids)
+    inside = {v for v, row in rows.items() if zone[0] <= now.s[row] <= zone[1]} & eligible
+    for ids in sorted(find(history, rule, inside), key=lambda ids: (-now.s[rows[ids[0]]], ids)):
+        if len(groups) < limit and not taken & set(ids):
+            groups.append(Group(ids, now.time))
+            taken |= set(ids)
+    return groups
+
+
+def _chains(history: Sequence[Snapshot], rule: CarFollowing, inside: Set[str]) -> list[tuple[str, str, str]]:
+    """Triples in one lane in which, at every instant of the history, each is the next one's leader."""
+    leaders = [lane_leaders(snapshot) for snapshot in history]
+    now, rows = history[-1], history[-1].rows(history[-1].ids)
+    chains = [
+        (rear, leaders[-1][rear], leaders[-1][leaders[-1][rear]])
+        for rear in now.ids
+        if rear in inside and leaders[-1].get(rear) in inside and leaders[-1].get(leaders[-1][rear]) in inside
+    ]
+    return [
+        ids
+        for ids in chains
+        if all(at.get(ids[0]) == ids[1] and at.get(ids[1]) == ids[2] for at in leaders)
+        and all(_binding(now, rows[behind], rows[ahead], rule) for behind, ahead in zip(ids, ids[1:], strict=False))
+        and _steady(history, ids)
+    ]
+
+
+def _binding(now: Snapshot, behind: int, ahead: int, rule: CarFollowing) -> bool:
+    """Whether one vehicle is close enough behind another to have to do with it."""
+    gap = net_gap(now.s[behind], now.s[ahead], now.length[ahead])
+    in_time = gap <= rule.max_time_gap * max(float(now.v[behind]), rule.min_speed)
+    return bool(rule.min_gap <= gap <= rule.max_gap and in_time and now.v[behind] >= rule.min_speed)
+
+
+def _steady(history: Sequence[Snapshot], ids: Sequence[str]) -> bool:
+    """Whether none of the vehicles changed its lane during the history."""
+    rows = [snapshot.rows(ids) for snapshot in history]
+    d = np.array([[snapshot.d[row[v]] for v in ids] for snapshot, row in zip(history, rows, strict=True)])
+    return bool((np.abs(d - d[-1]) < SAME_LANE).all())
+
+
+def _merges(history: Sequence[Snapshot], rule: Merge, inside: Set[str]) -> list[tuple[str, str, str]]:
+    """Vehicles on the ending lane with a lag vehicle and a leader in the lane to their left."""
+    now, rows = history[-1], history[-1].rows(history[-1].ids)
+    edge, _, index = rule.lane.rpartition("_")
+    target = f"{edge}_{int(index) + 1}"
+    beside = sorted((now.s[rows[v]], v) for v in now.ids if now.lane[rows[v]] == target)
+    found = []
+    for merger in inside:
+        if now.lane[rows[merger]] != rule.lane or not rule.zone[0] <= now.s[rows[merger]] <= rule.zone[1]:
+            continue
+        place = np.searchsorted([s for s, _ in beside], now.s[rows[merger]])
+        if not 0 < place < len(beside):
+            continue
+        lag, leader = beside[place - 1][1], beside[place][1]
+        fits = all(
+            rule.min_gap <= net_gap(now.s[rows[b]], now.s[rows[a]], now.length[rows[a]]) <= rule.max_gap
+            for b, a in ((lag, merger), (merger, leader))
+        )
+        seen = all(len(snapshot.rows((merger, lag, leader))) == 3 for snapshot in history)
+        if fits and seen and {lag, leader} <= inside:
+            found.append((merger, lag, leader))
+    return found

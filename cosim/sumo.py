@@ -1,0 +1,203 @@
+"""The only door to libsumo: start, step, read, command, close.
+
+One guarded simulation per process. What a command changes and when it is seen is written in docs/coupling.md.
+Measured facts behind the choices here: plain getters are faster than subscriptions in libsumo; a vehicle moved by
+`moveToXY` stands exactly where it was put only with the keep-route bits used below; its reported speed is exactly the
+commanded one only if `setSpeed` goes with it and the safety checks are off.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import libsumo
+import numpy as np
+from jaxtyping import Float
+
+from cosim.frames import RoadFrame, heading_of, sumo_angle_of
+
+_NO_CHECKS = 0  # speed mode: SUMO neither bounds nor corrects the commanded speed
+_NO_CHANGES = 0  # lane-change mode: SUMO never changes the vehicle's lane
+_KEEP_ROUTE_EXACT_POSITION = 3  # moveToXY: keep the route (1) and do not snap to the lane (2)
+
+_NATIVE_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
+
+
+class SumoError(RuntimeError):
+    """SUMO refused or failed; the message is SUMO's own."""
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """All vehicles at one instant, in SUMO's order of ids. World frame and road frame of cosim/frames.py, SI units."""
+
+    time: float
+    ids: tuple[str, ...]
+    xy: Float[np.ndarray, "V 2"]
+    heading: Float[np.ndarray, " V"]
+    v: Float[np.ndarray, " V"]
+    a: Float[np.ndarray, " V"]
+    s: Float[np.ndarray, " V"]
+    d: Float[np.ndarray, " V"]
+    length: Float[np.ndarray, " V"]
+    width: Float[np.ndarray, " V"]
+    lane: tuple[str, ...]
+
+    def rows(self, ids: Sequence[str]) -> dict[str, int]:
+        """Row of each id that is present."""
+        where = {vehicle: row for row, vehicle in enumerate(self.ids)}
+        return {vehicle: where[vehicle] for vehicle in ids if vehicle in where}
+
+
+@dataclass(frozen=True)
+class StepReport:
+    """What SUMO says happened in one step; `collisions` are (collider, victim)."""
+
+    time: float
+    arrived: tuple[str, ...]
+    teleported: tuple[str, ...]
+    collisions: tuple[tuple[str, str], ...]
+
+
+class Sumo:
+    """The running simulation. Obtained from `sumo(...)` only."""
+
+    def __init__(self) -> None:
+        self._sizes: dict[str, tuple[float, float]] = {}
+        self._modes: dict[str, tuple[int, int]] = {}  # (speed mode, lane-change mode) before take-over
+        self._pending = False  # moveToXY issued since the last step
+
+    def step(self) -> StepReport:
+        """Advance by one step length."""
+        libsumo.simulationStep()
+        self._pending = False
+        return StepReport(
+            time=libsumo.simulation.getTime(),
+            arrived=tuple(libsumo.simulation.getArrivedIDList()),
+            teleported=tuple(libsumo.simulation.getStartingTeleportIDList()),
+            collisions=tuple((hit.collider, hit.victim) for hit in libsumo.simulation.getCollisions()),
+        )
+
+    def snapshot(self, road: RoadFrame) -> Snapshot:
+        """Read every vehicle on the road network."""
+        vehicle = libsumo.vehicle
+        ids = tuple(vehicle.getIDList())
+        xy = np.array([vehicle.getPosition(v) for v in ids], dtype=float).reshape(-1, 2)
+        sizes = np.array([self._size(v) for v in ids], dtype=float).reshape(-1, 2)
+        s, d = road.to_road(xy)
+        return Snapshot(
+            time=libsumo.simulation.getTime(),
+            ids=ids,
+            xy=xy,
+            heading=heading_of(np.array([vehicle.getAngle(v) for v in ids], dtype=float)),
+            v=np.array([vehicle.getSpeed(v) for v in ids], dtype=float),
+            a=np.array([vehicle.getAcceleration(v) for v in ids], dtype=float),
+            s=s,
+            d=d,
+            length=sizes[:, 0],
+            width=sizes[:, 1],
+            lane=tuple(vehicle.getLaneID(v) for v in ids),
+        )
+
+    def _size(self, vehicle: str) -> tuple[float, float]:
+        if vehicle not in self._sizes:
+            self._sizes[vehicle] = libsumo.vehicle.getLength(vehicle), libsumo.vehicle.getWidth(vehicle)
+        return self._sizes[vehicle]
+
+    def route(self, vehicle: str) -> tuple[str, ...]:
+        """Edges of a vehicle's route."""
+        return tuple(libsumo.vehicle.getRoute(vehicle))
+
+    def take(self, vehicle: str) -> None:
+        """Take a vehicle from SUMO's drivers; from now on it must be commanded in every step."""
+        api = libsumo.vehicle
+        self._modes[vehicle] = api.getSpeedMode(vehicle), api.getLaneChangeMode(vehicle)
+        api.setSpeedMode(vehicle, _NO_CHECKS)
+        api.setLaneChangeMode(vehicle, _NO_CHANGES)
+
+    def command(self, vehicle: str, xy: Sequence[float], heading: float, speed: float) -> None:
+        """Where the vehicle's front bumper shall stand after the next step, its heading [rad] and speed [m/s]."""
+        x, y = float(xy[0]), float(xy[1])
+        if not all(math.isfinite(value) for value in (x, y, heading, speed)):
+            raise SumoError(f"refused a non-finite command for {vehicle}: x={x}, y={y}, heading={heading}, speed={speed}")
+        angle = float(sumo_angle_of(np.float64(heading)))
+        libsumo.vehicle.setSpeed(vehicle, float(speed))
+        libsumo.vehicle.moveToXY(vehicle, "", -1, x, y, angle, _KEEP_ROUTE_EXACT_POSITION)
+        self._pending = True
+
+    def release(self, vehicle: str) -> None:
+        """Hand a vehicle back: SUMO's own speed control and the modes it had before."""
+        speed_mode, lane_change_mode = self._modes.pop(vehicle)
+        libsumo.vehicle.setSpeed(vehicle, -1)
+        libsumo.vehicle.setSpeedMode(vehicle, speed_mode)
+        libsumo.vehicle.setLaneChangeMode(vehicle, lane_change_mode)
+
+    def limit_speed(self, edge: str, speed: float) -> None:
+        """Lower (or raise) the speed limit [m/s] of all lanes of an edge, or of one lane given by its id."""
+        if edge in libsumo.lane.getIDList():
+            libsumo.lane.setMaxSpeed(edge, speed)
+        else:
+            libsumo.edge.setMaxSpeed(edge, speed)
+
+    def edges(self) -> frozenset[str]:
+        """Ids of all edges and lanes of the net."""
+        return frozenset(libsumo.edge.getIDList()) | frozenset(libsumo.lane.getIDList())
+
+    def road(self, edges: Sequence[str], origin: str) -> RoadFrame:
+        """The road frame of a chain of edges: along the centre of its leftmost lane, s = 0 where `origin` begins."""
+        points: list[tuple[float, float]] = []
+        start = 0
+        for edge in edges:
+            shape = libsumo.lane.getShape(f"{edge}_{libsumo.edge.getLaneNumber(edge) - 1}")
+            if edge == origin:
+                start = len(points) if points and points[-1] != shape[0] else max(len(points) - 1, 0)
+            points += [point for k, point in enumerate(shape) if k or not points or points[-1] != point]
+        line = np.array(points, dtype=float)
+        before = np.diff(line[: start + 1], axis=0)
+        return RoadFrame(line, float(np.hypot(before[:, 0], before[:, 1]).sum()))
+
+    def _close(self) -> None:
+        if self._pending:  # closing and restarting with a pending moveToXY crashes SUMO
+            libsumo.simulationStep()
+        libsumo.close()
+
+
+_running = False
+
+
+@contextmanager
+def sumo(arguments: Sequence[str], log: Path) -> Iterator[Sumo]:
+    """Run SUMO in this process with these command-line arguments; `log` is the file its `--error-log` names.
+
+    Raises SumoError, with SUMO's own message, where SUMO refuses; a second simulation in one process is refused here,
+    because libsumo would silently discard the first.
+    """
+    global _running
+    if _running:
+        raise SumoError("a simulation is already running in this process; run the second one in a process of its own")
+    _running = True
+    try:
+        libsumo.start(["sumo", *arguments])
+        world = Sumo()
+        try:
+            yield world
+        finally:
+            world._close()
+    except _NATIVE_ERRORS as error:
+        raise SumoError(_native_message(error, log)) from error
+    finally:
+        _running = False
+
+
+def version() -> str:
+    """SUMO's version, e.g. "1.28.0"."""
+    return libsumo.__version__
+
+
+def _native_message(error: Exception, log: Path) -> str:
+    """The last error lines SUMO wrote, or the exception's own text."""
+    written = log.read_text(errors="replace").splitlines() if log.is_file() else []
+    errors = [line.strip() for line in written if line.startswith("Error")]
+    return "; ".join(errors[-3:]) or str(error)
