@@ -35,7 +35,7 @@ def build(site: str) -> str:
     """The net file's text."""
     netconvert = find_netconvert()
     if netconvert is None:
-        raise FileNotFoundError("netconvert is neither in a wheel nor on PATH; run: pip install eclipse-sumo")
+        raise FileNotFoundError("netconvert not found in a wheel or on PATH; pip install eclipse-sumo")
     source = HERE / site
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out.net.xml"
