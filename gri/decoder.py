@@ -9,6 +9,7 @@ interaction") as well and gives f_v no own state, so that a vehicle sees its nei
 type 0. By default (`none_is_silent`) type 0 sends nothing and f_v reads the vehicle's own state instead.
 """
 
+from collections.abc import Callable
 from typing import Literal
 
 import msgspec
@@ -20,7 +21,12 @@ from gri.graph import agents_of
 from gri.neural import edge_ends, mlp
 from gri.scale import Scale
 
-DenseGraph = Float[Tensor, "B N N K"]
+DenseGraph = Float[Tensor, "B N R K"]
+"""One-hot types over sender and receiver; the receivers are the first R vehicles, those that are to be
+driven.
+"""
+Act = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
+"""(state [B, N, D], memory [B, R, H]) -> (mean action [B, R, A], memory)."""
 
 
 class DecoderConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -43,23 +49,21 @@ def dense(edges: Float[Tensor, "B E K"]) -> DenseGraph:
 
 
 class Decoder(nn.Module):
-    """Gaussian policy: mean action of every vehicle, with a standard deviation that does not depend on the
-    state.
+    """Gaussian policy: mean action of every driven vehicle, and a standard deviation that is the same
+    everywhere.
     """
 
     offset: Tensor
     unit: Tensor
     action_unit: Tensor
-    position: Tensor
 
     def __init__(self, config: DecoderConfig, scale: Scale, edge_types: int) -> None:
         super().__init__()
         self.config = config
         features, actions = len(scale.unit), len(scale.action)
-        self.register_buffer("offset", torch.tensor(scale.offset), persistent=False)
+        self.register_buffer("offset", torch.tensor((0.0, *scale.offset[1:])), persistent=False)
         self.register_buffer("unit", torch.tensor(scale.unit), persistent=False)
         self.register_buffer("action_unit", torch.tensor(scale.action), persistent=False)
-        self.register_buffer("position", torch.eye(features)[0], persistent=False)
         body = FeedForward if config.kind == "feed_forward" else Recurrent
         self.body = body(config, features, actions, edge_types)
         self.log_sigma = nn.Parameter(torch.full((actions,), config.log_sigma), config.learn_sigma)
@@ -73,13 +77,19 @@ class Decoder(nn.Module):
         """Standard deviation of the action, in SI units."""
         return self.log_sigma.clamp(-5, 2).exp() * self.action_unit
 
-    def forward(
-        self, state: Float[Tensor, "B N D"], graph: DenseGraph, memory: Float[Tensor, "B N H"]
-    ) -> tuple[Float[Tensor, "B N A"], Float[Tensor, "B N H"]]:
-        # Positions relative to the last vehicle: only differences count, and float32 keeps its digits.
-        scaled = (state - state[:, -1:] * self.position - self.offset) / self.unit
-        action, memory = self.body(scaled, graph, memory)
-        return action * self.action_unit, memory
+    def bind(self, graph: DenseGraph, selfish: bool = False) -> Act:
+        """The policy under one graph, with all that does not change from step to step computed once.
+
+        `selfish` cuts the gradient through the states of senders: a vehicle's action then is not blamed for
+        what it makes others do.
+        """
+        step = self.body.bind(graph, self.offset, self.unit, selfish)
+
+        def act(state: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
+            action, memory = step(state, memory)
+            return action * self.action_unit, memory
+
+        return act
 
 
 class Messages(nn.Module):
@@ -101,13 +111,24 @@ class Messages(nn.Module):
         with torch.no_grad():
             self.second.weight.mul_(types**0.5)  # as if each type had its own layer
 
-    def forward(self, node: Float[Tensor, "B N I"], graph: DenseGraph) -> Float[Tensor, "B N H"]:
-        """Sum of the messages that reach each vehicle; the first feature enters as a difference."""
+    def first_layer(self) -> tuple[Tensor, Tensor]:
+        """Weights of the sender's and of the receiver's share; the first feature enters as a difference."""
+        weight = self.sender.weight
+        return weight, torch.cat([-weight[:, :1], self.receiver.weight], 1)
+
+    def bind(self, graph: DenseGraph) -> Callable[[Tensor, Tensor], Tensor]:
+        """Shares of sender [B, N, types·H] and receiver [B, R, types·H] -> sum of messages [B, R, H]."""
         z = graph[..., self.first_type :]
-        from_receiver = torch.cat([-self.sender.weight[:, :1], self.receiver.weight], 1)
-        sent = self.sender(node)[:, :, None] + (node @ from_receiver.T)[:, None]  # Shape: (B, N, N, types·H)
-        masked = (nn.functional.silu(sent).unflatten(-1, (-1, self.hidden)) * z[..., None]).flatten(-2)
-        return nn.functional.silu(self.second(masked) + z @ self.second_bias).sum(1)
+        mask = z.repeat_interleave(self.hidden, -1)
+        bias = (z @ self.second_bias).flatten(0, 2)
+        second = self.second.weight.T
+
+        def receive(sender: Tensor, receiver: Tensor) -> Tensor:
+            hidden = nn.functional.silu(sender[:, :, None] + receiver[:, None]) * mask
+            messages = nn.functional.silu(torch.addmm(bias, hidden.flatten(0, 2), second))
+            return messages.unflatten(0, z.shape[:3]).sum(1)
+
+        return receive
 
 
 class FeedForward(nn.Module):
@@ -118,20 +139,34 @@ class FeedForward(nn.Module):
     def __init__(self, config: DecoderConfig, features: int, actions: int, edge_types: int) -> None:
         super().__init__()
         self.messages = Messages(features, config.hidden, edge_types, config.none_is_silent)
-        self.own = features - 1 if config.none_is_silent else 0
-        self.node = mlp([config.hidden + self.own, config.hidden, config.hidden, actions], last_scale=0.1)
+        self.own = nn.Linear(features - 1, config.hidden, bias=False) if config.none_is_silent else None
+        self.node = mlp([config.hidden, config.hidden, config.hidden, actions], last_scale=0.1)
 
-    def forward(
-        self, node: Float[Tensor, "B N D"], graph: DenseGraph, memory: Float[Tensor, "B N 0"]
-    ) -> tuple[Float[Tensor, "B N A"], Float[Tensor, "B N 0"]]:
-        own = node[..., node.shape[-1] - self.own :]
-        return self.node(torch.cat([self.messages(node, graph), own], -1)), memory
+    def bind(self, graph: DenseGraph, offset: Tensor, unit: Tensor, selfish: bool) -> Act:
+        """Folds units, both shares of the first edge layer and the own state's layer into one product."""
+        first = self.node[0]
+        assert isinstance(first, nn.Linear)
+        sender, receiver = self.messages.first_layer()
+        own = nn.functional.pad(self.own.weight, (1, 0)) if self.own else 0 * sender[: len(first.bias)]
+        weight = torch.cat([sender, receiver, own]) / unit
+        edge_bias = self.messages.sender.bias
+        bias = torch.cat([edge_bias, torch.zeros_like(edge_bias), first.bias]) - weight @ offset
+        sizes = [len(sender), len(receiver), len(own)]
+        receive, vehicles = self.messages.bind(graph), graph.shape[2]
+
+        def step(state: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
+            sent, received, hidden = nn.functional.linear(state, weight, bias).split(sizes, -1)
+            if selfish:
+                sent = nn.functional.linear(state.detach(), weight[: sizes[0]], bias[: sizes[0]])
+            messages = receive(sent, received[:, :vehicles])
+            hidden = nn.functional.linear(messages, first.weight) + hidden[:, :vehicles]
+            return self.node[1:](hidden), memory
+
+        return step
 
 
 class Recurrent(nn.Module):
-    """Equations (rnn1)-(rnn4); messages also read the relative state (x_ij of equation gnn-1), so that none
-    is late.
-    """
+    """Equations (rnn1)-(rnn4); messages also read the relative state (x_ij of gnn-1): none is late."""
 
     def __init__(self, config: DecoderConfig, features: int, actions: int, edge_types: int) -> None:
         super().__init__()
@@ -140,10 +175,18 @@ class Recurrent(nn.Module):
         self.cell = nn.GRUCell(config.hidden + features - 1, config.hidden)
         self.out = mlp([config.hidden, config.hidden, actions], last_scale=0.1)
 
-    def forward(
-        self, node: Float[Tensor, "B N D"], graph: DenseGraph, memory: Float[Tensor, "B N H"]
-    ) -> tuple[Float[Tensor, "B N A"], Float[Tensor, "B N H"]]:
-        received = self.messages(torch.cat([node, memory], -1), graph)
-        inputs = torch.cat([received, node[..., 1:]], -1)
-        memory = self.cell(inputs.flatten(0, 1), memory.flatten(0, 1)).unflatten(0, memory.shape[:2])
-        return self.out(memory), memory
+    def bind(self, graph: DenseGraph, offset: Tensor, unit: Tensor, selfish: bool) -> Act:
+        sender, receiver = self.messages.first_layer()
+        receive, vehicles = self.messages.bind(graph), graph.shape[2]
+
+        def step(state: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
+            scaled = (state - offset) / unit
+            silent = state.new_zeros(len(state), state.shape[1] - vehicles, self.memory_size)
+            node = torch.cat([scaled, torch.cat([memory, silent], 1)], -1)
+            sent = nn.functional.linear(node.detach() if selfish else node, sender, self.messages.sender.bias)
+            messages = receive(sent, nn.functional.linear(node[:, :vehicles], receiver))
+            inputs = torch.cat([messages, scaled[:, :vehicles, 1:]], -1)
+            memory = self.cell(inputs.flatten(0, 1), memory.flatten(0, 1)).unflatten(0, memory.shape[:2])
+            return self.out(memory), memory
+
+        return step

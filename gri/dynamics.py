@@ -8,6 +8,7 @@ step(x, a))` is `a`. Leading axes are free, the feature axis is the last one.
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import lru_cache
 
 import torch
 from jaxtyping import Float
@@ -40,10 +41,14 @@ class Dynamics:
         return self.state.index(feature)
 
 
+@lru_cache
+def _point_mass_1d_matrix(dt: float, dtype: torch.dtype) -> Tensor:
+    return torch.tensor([[1, dt, 0.5 * dt**2, 0], [0, 1, dt, 0], [0, 0, 1, dt]], dtype=dtype)
+
+
 def _point_mass_1d_step(state: State, action: Action, dt: float) -> State:
     """x' = x + v·Δt + a·Δt²/2,  v' = v + a·Δt,  a' = a + δa·Δt  (Sec. VI-C)."""
-    x, v, a = state.unbind(-1)
-    return torch.stack([x + v * dt + 0.5 * a * dt**2, v + a * dt, a + action[..., 0] * dt], dim=-1)
+    return torch.nn.functional.linear(torch.cat([state, action], -1), _point_mass_1d_matrix(dt, state.dtype))
 
 
 def _point_mass_1d_inverse(state: State, next_state: State, dt: float) -> Action:

@@ -109,10 +109,17 @@ class RelationalModel(nn.Module):
     ) -> tuple[Float[Tensor, "B N A"], PolicyState]:
         """Mean action under the most probable graph."""
         assert memory.graph is not None, "begin() gives a PolicyState with a graph"
-        action, recurrent = self.decoder(state, dense(memory.graph.one_hot), memory.memory)
+        action, recurrent = self.decoder.bind(dense(memory.graph.one_hot))(relative(state), memory.memory)
         return action, PolicyState(memory.graph, recurrent)
 
     def step(self, state: Float[Tensor, "B N D"], action: Float[Tensor, "B N A"]) -> Float[Tensor, "B N D"]:
         """The next state under the model's dynamics."""
         moved = self.dynamics.step(state, action, self.dt)
         return stop_at_standstill(state, moved) if self.config.never_reverse else moved
+
+
+def relative(state: Float[Tensor, "B N D"]) -> Float[Tensor, "B N D"]:
+    """Positions counted from the last vehicle: the decoder needs differences only, and float32 keeps its
+    digits.
+    """
+    return torch.cat([state[..., :1] - state[:, -1:, :1], state[..., 1:]], -1)

@@ -18,3 +18,8 @@ def shipped(*parts: str) -> Path:
 def checkpoint(name: str) -> Path:
     """The path of a released checkpoint, by its bare name."""
     return _PACKAGE / "checkpoints" / f"{name}.pt"
+
+
+def checkpoints() -> list[str]:
+    """Names of the released checkpoints."""
+    return sorted(path.stem for path in (_PACKAGE / "checkpoints").glob("*.pt"))
