@@ -1,7 +1,7 @@
 """Running something in a copy of this process, SUMO and all, while the original goes on.
 
-A copy made by `os.fork` shares the past with the original bit for bit and costs milliseconds. Systems without fork replay
-the past from t = 0 instead (see `cosim.closed_loop`); both give the same episodes.
+A copy made by `os.fork` shares the past with the original bit for bit and costs milliseconds. Systems without fork
+replay the past from t = 0 instead (see `cosim.closed_loop`); both give the same episodes.
 """
 
 import os

@@ -11,9 +11,6 @@ from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 
-from gri.errors import InputError
-from gri.policy import Policy
-
 from cosim.branch import CAN_FORK, fork
 from cosim.driving import Round, drive
 from cosim.episode import INTERRUPTED, Episode
@@ -22,6 +19,8 @@ from cosim.groups import select
 from cosim.scenario import Scenario
 from cosim.sumo import Snapshot, Sumo, sumo
 from cosim.traffic import arguments, route_file
+from gri.errors import InputError
+from gri.policy import Policy
 
 Tell = Callable[[str, int, int], None]  # (what, done, of)
 WARM_UP_CHUNKS = 50  # how often progress is told during the warm-up
@@ -56,12 +55,19 @@ class _Road:
 
 
 def run(
-    scenario: Scenario, files: Files, policy: Policy | None, driver: str, tell: Tell, *, forking: bool = CAN_FORK
+    scenario: Scenario,
+    files: Files,
+    policy: Policy | None,
+    driver: str,
+    tell: Tell,
+    *,
+    forking: bool = CAN_FORK,
 ) -> Outcome:
     """Run a scenario until its number of episodes is reached or its time limit is over.
 
-    Episodes that something else ended (INTERRUPTED) are kept but do not count. With `policy=None` nobody is driven: the
-    null run. Without `forking` every branch replays the past from t = 0 in a process of its own; the results are the same.
+    Episodes that something else ended (INTERRUPTED) are kept but do not count. With `policy=None` nobody is driven:
+    the null run. Without `forking` every branch replays the past from t = 0 in a process of its own; the results are
+    the same.
     """
     end = scenario.traffic.warm_up + scenario.time_limit
     files.routes.write_text(route_file(scenario.traffic, scenario.seed, end))
@@ -89,7 +95,11 @@ def run(
                     driven += replay.result()
         tell("episodes", min(count, scenario.episodes), scenario.episodes)
         return Outcome(
-            tuple(left if policy is None else driven), tuple(left), trunk.time, trunk.teleports, trunk.collisions
+            tuple(left if policy is None else driven),
+            tuple(left),
+            trunk.time,
+            trunk.teleports,
+            trunk.collisions,
         )
 
 
@@ -130,7 +140,8 @@ class _Trunk:
         """The next round: groups with enough road ahead whose vehicles nobody took before."""
         scenario, now = self._scenario, history[-1]
         main = set(scenario.road.edges)
-        inside = [v for v, s in zip(now.ids, now.s, strict=True) if 0 <= s <= scenario.road.length]
+        reach = now.s + now.v * scenario.horizon
+        inside = [v for v, s in zip(now.ids, reach, strict=True) if s <= scenario.road.length]
         staying = {v for v in inside if v not in self._used and set(self._road.world.route(v)[1:]) <= main}
         groups = select(
             history,
@@ -151,9 +162,7 @@ class _Trunk:
         return episodes
 
 
-def _replay(
-    scenario: Scenario, files: Files, steps: int, task: Round, policy: Policy, driver: str
-) -> list[Episode]:
+def _replay(scenario: Scenario, files: Files, steps: int, task: Round, policy: Policy, driver: str) -> list[Episode]:
     """Drive a round that begins after so many steps, in a simulation of its own."""
     watched = scenario.steps(scenario.history)
     with _simulation(scenario, files) as road:
@@ -171,7 +180,10 @@ def _simulation(scenario: Scenario, files: Files) -> Iterator[_Road]:
     """Start SUMO, check the scenario against its net, and set the speed limits."""
     with sumo(arguments(scenario, str(files.net), str(files.routes), str(files.log)), files.log) as world:
         known = world.edges()
-        for what, names in (("road.edges", scenario.road.edges), ("traffic.speed_limits", scenario.traffic.speed_limits)):
+        for what, names in (
+            ("road.edges", scenario.road.edges),
+            ("traffic.speed_limits", scenario.traffic.speed_limits),
+        ):
             if missing := [name for name in names if name not in known]:
                 raise InputError(f"{what}: the net {files.net} has no edge {missing[0]!r}")
         for edge, limit in scenario.traffic.speed_limits.items():

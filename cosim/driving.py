@@ -9,10 +9,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from gri.dynamics import DynamicsName, stop_at_standstill
-from gri.graph import InteractionGraph
-from gri.policy import Policy
-from gri.types import Trajectory
 from jaxtyping import Bool, Float
 
 from cosim.episode import COLUMNS, Ending, Episode, Event, EventKind
@@ -20,6 +16,10 @@ from cosim.frames import RoadFrame, model_offsets
 from cosim.groups import SAME_LANE, Group, lane_leaders
 from cosim.safety import overlaps
 from cosim.sumo import Snapshot, StepReport, Sumo
+from gri.dynamics import DynamicsName, stop_at_standstill
+from gri.graph import InteractionGraph
+from gri.policy import Policy
+from gri.types import Trajectory
 
 OWNED = (0, 1)  # roles that a policy drives; 2 is the given leader
 PLACEMENT_TOLERANCE = 1e-6  # [m], [m/s]
@@ -237,9 +237,7 @@ def _contacts(
     return touching
 
 
-def _ending(
-    frame: _Frame, before: _Frame, g: int, group: Group, snapshot: Snapshot, touching: bool
-) -> Ending | None:
+def _ending(frame: _Frame, before: _Frame, g: int, group: Group, snapshot: Snapshot, touching: bool) -> Ending | None:
     """Why a group cannot be driven any further, if it cannot."""
     if touching:
         return Ending.CONTACT

@@ -4,11 +4,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
-from gri.graph import InteractionGraph
 from jaxtyping import Bool, Float
 
 from cosim.groups import Group
 from cosim.safety import net_gap, time_to_collision
+from gri.graph import InteractionGraph
 
 COLUMNS = ("s", "d", "x", "y", "heading", "v", "a")  # of Episode.state, SI units, frames of cosim/frames.py
 SUCCESS_HEADWAY = 2.0  # [m], the paper's δ_f (Sec. VI-E)

@@ -9,6 +9,7 @@ positions and know no lengths (see `model_offsets`).
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -79,6 +80,6 @@ def model_offsets(length: Float[np.ndarray, "G 3"], order: tuple[int, ...] = (0,
     speeds, accelerations and the dynamics are untouched.
     """
     offsets = np.zeros_like(length)
-    for behind, ahead in zip(order, order[1:], strict=False):
+    for behind, ahead in pairwise(order):
         offsets[:, ahead] = offsets[:, behind] + NOMINAL_LENGTH - length[:, ahead]
     return offsets

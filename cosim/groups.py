@@ -1,17 +1,19 @@
 """Finding three interacting vehicles in traffic; pure functions of a history of snapshots.
 
-Roles: in car following 0 follows 1 follows 2; in merging 0 merges between the lag vehicle 1 and the leader 2. Vehicle 2 is
-the given leader and stays SUMO's (Sec. VI-C, VI-D of the paper).
+Roles: in car following 0 follows 1 follows 2; in merging 0 merges between the lag vehicle 1 and the leader 2. Vehicle 2
+is the given leader and stays SUMO's (Sec. VI-C, VI-D of the paper).
 """
 
 from collections.abc import Sequence, Set
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
 from cosim.safety import net_gap
 from cosim.scenario import CarFollowing, Merge
 from cosim.sumo import Snapshot
+from gri.graph import EdgeType
 
 SAME_LANE = 1.0  # [m] of lateral distance; lanes are wider than 3 m, vehicles keep to their centres
 
@@ -51,11 +53,11 @@ def select(
 
     `zone` [m] is where vehicle 0 and 2 must be at the end of the history; only `eligible` vehicles are taken.
     """
-    find = _chains if isinstance(rule, CarFollowing) else _merges
     now, taken, groups = history[-1], set(), []
     rows = now.rows(now.ids)
     inside = {v for v, row in rows.items() if zone[0] <= now.s[row] <= zone[1]} & eligible
-    for ids in sorted(find(history, rule, inside), key=lambda ids: (-now.s[rows[ids[0]]], ids)):
+    found = _chains(history, rule, inside) if isinstance(rule, CarFollowing) else _merges(history, rule, inside)
+    for ids in sorted(found, key=lambda ids: (-now.s[rows[ids[0]]], ids)):
         if len(groups) < limit and not taken & set(ids):
             groups.append(Group(ids, now.time))
             taken |= set(ids)
@@ -75,7 +77,7 @@ def _chains(history: Sequence[Snapshot], rule: CarFollowing, inside: Set[str]) -
         ids
         for ids in chains
         if all(at.get(ids[0]) == ids[1] and at.get(ids[1]) == ids[2] for at in leaders)
-        and all(_binding(now, rows[behind], rows[ahead], rule) for behind, ahead in zip(ids, ids[1:], strict=False))
+        and all(_binding(now, rows[behind], rows[ahead], rule) for behind, ahead in pairwise(ids))
         and _steady(history, ids)
     ]
 
@@ -116,3 +118,10 @@ def _merges(history: Sequence[Snapshot], rule: Merge, inside: Set[str]) -> list[
         if fits and seen and {lag, leader} <= inside:
             found.append((merger, lag, leader))
     return found
+
+
+def expected_graph(rule: CarFollowing | Merge) -> dict[tuple[int, int], EdgeType]:
+    """The relations that the rule's own definition implies; all other pairs have none."""
+    if isinstance(rule, CarFollowing):
+        return {(1, 0): EdgeType.FOLLOW, (2, 1): EdgeType.FOLLOW}
+    return {(2, 0): EdgeType.FOLLOW, (1, 0): EdgeType.CUT_IN, (0, 1): EdgeType.YIELD}

@@ -7,10 +7,10 @@ from typing import Any, TypeVar
 
 import msgspec
 import yaml
-from gri.errors import InputError
-from gri.resources import shipped
 
 from cosim.scenario import Scenario, Traffic
+from gri.errors import InputError
+from gri.resources import shipped
 
 T = TypeVar("T")
 
@@ -50,13 +50,17 @@ def _parse(path: Path) -> dict[str, Any]:
         content = yaml.safe_load(text)
         repeated = _repeated_key(yaml.compose(text))
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not a text file ({error.reason} at byte {error.start}); expected UTF-8 YAML") from None
+        raise InputError(
+            f"{path}: not a text file ({error.reason} at byte {error.start}); expected UTF-8 YAML"
+        ) from None
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f"{path}:{mark.line + 1}" if mark else str(path)
         raise InputError(f"{where}: not valid YAML: {getattr(error, 'problem', None) or error}") from None
     if repeated is not None:
-        raise InputError(f"{path}:{repeated.start_mark.line + 1}: the key {repeated.value!r} stands here twice; keep one")
+        raise InputError(
+            f"{path}:{repeated.start_mark.line + 1}: the key {repeated.value!r} stands here twice; keep one"
+        )
     if not isinstance(content, dict):
         raise InputError(f"{path}: got {type(content).__name__}, expected a mapping of fields (see `cosim schema`)")
     return content
@@ -121,3 +125,13 @@ def _line_of(path: Path, location: str) -> int | None:
         else:
             return line
     return line
+
+
+def override(scenario: Scenario, changes: dict[str, Any]) -> Scenario:
+    """The scenario with top-level fields replaced, checked like a file."""
+    content = {**msgspec.to_builtins(scenario), **changes}
+    try:
+        return msgspec.convert(content, Scenario)
+    except msgspec.ValidationError as error:
+        problem, _, location = str(error).partition(" - at `$.")
+        raise InputError(f"--{location.rstrip('`').split('.')[0]}: {problem}") from None

@@ -1,7 +1,7 @@
 """Scenario: the frozen, typed specification of one closed-loop experiment.
 
-A scenario is a YAML file. `load_scenario` checks it whole before anything runs: unknown keys, wrong types and values out
-of range are errors that name the file, the line and the field. `json_schema` is the same specification for editors.
+A scenario is a YAML file. `cosim.loading` checks it whole before anything runs: unknown keys, wrong types and values
+out of range are errors that name the file, the line and the field. `json_schema` is the same specification for editors.
 """
 
 from typing import Annotated, Any, Literal
@@ -21,7 +21,7 @@ class Spec(Struct, frozen=True, forbid_unknown_fields=True):
     """Base of everything that is read from YAML."""
 
 
-class LaneChanging(Spec, kw_only=True):
+class LaneChanging(Spec, frozen=True, kw_only=True):
     """SUMO's lane-change model LC2013 (SUMO doc: Definition of Vehicles, Lane-Changing Models)."""
 
     strategic: NonNegative = 1.0
@@ -31,11 +31,11 @@ class LaneChanging(Spec, kw_only=True):
     assertive: Positive = 1.0
 
 
-class VehicleClass(Spec, kw_only=True):
+class VehicleClass(Spec, frozen=True, kw_only=True):
     """A population of drivers and vehicles; `variants` types are drawn from it (SUMO doc: Vehicle Types).
 
-    Lengths in m, accelerations in m/s², `tau` the desired time headway in s. `tau_cv` is the coefficient of variation of
-    a log-normal, the other `_sd` are standard deviations of normals cut off at two of them.
+    Lengths in m, accelerations in m/s², `tau` the desired time headway in s. `tau_cv` is the coefficient of variation
+    of a log-normal, the other `_sd` are standard deviations of normals cut off at two of them.
     """
 
     name: Name
@@ -58,7 +58,7 @@ class VehicleClass(Spec, kw_only=True):
     lane_changing: LaneChanging = field(default_factory=LaneChanging)
 
 
-class Flow(Spec, kw_only=True):
+class Flow(Spec, frozen=True, kw_only=True):
     """Vehicles on one route. `per_hour` holds one rate per demand interval; the last one lasts for ever."""
 
     name: Name
@@ -68,7 +68,7 @@ class Flow(Spec, kw_only=True):
     lanes: Annotated[tuple[Annotated[int, Meta(ge=0)], ...], Meta(min_length=1)]
 
 
-class Traffic(Spec, kw_only=True):
+class Traffic(Spec, frozen=True, kw_only=True):
     """Demand, drivers, and the downstream cause of congestion."""
 
     warm_up: NonNegative
@@ -92,7 +92,7 @@ class Traffic(Spec, kw_only=True):
             raise ValueError("two flows have the same name, expected one name each")
 
 
-class Road(Spec, kw_only=True):
+class Road(Spec, frozen=True, kw_only=True):
     """The main road as a chain of edges; s = 0 where the edge `origin` begins, the study area is `length` [m] long."""
 
     edges: Annotated[tuple[str, ...], Meta(min_length=1)]
@@ -104,7 +104,7 @@ class Road(Spec, kw_only=True):
             raise ValueError(f"origin {self.origin!r} is not among the road's edges, expected one of {self.edges}")
 
 
-class CarFollowing(Spec, kw_only=True, tag_field="rule", tag="car_following"):
+class CarFollowing(Spec, frozen=True, kw_only=True, tag_field="rule", tag="car_following"):
     """Vehicle 0 right behind 1, right behind 2, in one lane all through the history (net gaps in m, time gaps in s)."""
 
     min_gap: NonNegative = 2.0
@@ -113,7 +113,7 @@ class CarFollowing(Spec, kw_only=True, tag_field="rule", tag="car_following"):
     min_speed: NonNegative = 1.0
 
 
-class Merge(Spec, kw_only=True, tag_field="rule", tag="merge"):
+class Merge(Spec, frozen=True, kw_only=True, tag_field="rule", tag="merge"):
     """Vehicle 0 on a lane that ends, between the lag vehicle 1 and the leader 2 in the lane to its left.
 
     `lane` is the id of 0's lane, `zone` the range of s [m] in which the group is taken, gaps are net gaps to 0.
@@ -128,28 +128,33 @@ class Merge(Spec, kw_only=True, tag_field="rule", tag="merge"):
 GroupRule = CarFollowing | Merge
 
 
-class Graph(Spec, kw_only=True, tag_field="kind", tag="gri"):
+class Trained(Spec, frozen=True, kw_only=True, tag_field="kind", tag="gri"):
     """A trained checkpoint: the name of a released one, or a path."""
 
     checkpoint: str
 
 
-class Idm(Spec, kw_only=True, tag_field="kind", tag="idm"):
+class Idm(Spec, frozen=True, kw_only=True, tag_field="kind", tag="idm"):
     """The intelligent driver model."""
 
 
-class ConstantVelocity(Spec, kw_only=True, tag_field="kind", tag="constant_velocity"):
+class ConstantVelocity(Spec, frozen=True, kw_only=True, tag_field="kind", tag="constant_velocity"):
     """Keeps the speed it has."""
 
 
-class LeftToSumo(Spec, kw_only=True, tag_field="kind", tag="sumo"):
+class LeftToSumo(Spec, frozen=True, kw_only=True, tag_field="kind", tag="sumo"):
     """Nobody takes the group over: the null run."""
 
 
-Driver = Graph | Idm | ConstantVelocity | LeftToSumo
+Driver = Trained | Idm | ConstantVelocity | LeftToSumo
 
 
-class Scenario(Spec, kw_only=True):
+def tag_of(choice: GroupRule | Driver) -> str:
+    """The word that stands for a group rule or a driver in YAML, tables and file names."""
+    return str(choice.__struct_config__.tag)
+
+
+class Scenario(Spec, frozen=True, kw_only=True):
     """One closed-loop experiment. Durations in s; `traffic` may be the name or path of a traffic file."""
 
     description: str = ""

@@ -121,8 +121,10 @@ class Sumo:
         """Where the vehicle's front bumper shall stand after the next step, its heading [rad] and speed [m/s]."""
         x, y = float(xy[0]), float(xy[1])
         if not all(math.isfinite(value) for value in (x, y, heading, speed)):
-            raise SumoError(f"refused a non-finite command for {vehicle}: x={x}, y={y}, heading={heading}, speed={speed}")
-        angle = float(sumo_angle_of(np.float64(heading)))
+            raise SumoError(
+                f"refused a non-finite command for {vehicle}: x={x}, y={y}, heading={heading}, speed={speed}"
+            )
+        angle = float(sumo_angle_of(np.array(heading)))
         libsumo.vehicle.setSpeed(vehicle, float(speed))
         libsumo.vehicle.moveToXY(vehicle, "", -1, x, y, angle, _KEEP_ROUTE_EXACT_POSITION)
         self._pending = True

@@ -18,7 +18,9 @@ def route_file(traffic: Traffic, seed: int, end: float) -> str:
     lines = []
     for vehicles, stream in zip(traffic.vehicles, streams, strict=False):
         lines += _types(vehicles, np.random.default_rng(stream))
-    lines += [f'    <route id={quoteattr(flow.name)} edges={quoteattr(" ".join(flow.edges))}/>' for flow in traffic.flows]
+    lines += [
+        f"    <route id={quoteattr(flow.name)} edges={quoteattr(' '.join(flow.edges))}/>" for flow in traffic.flows
+    ]
     departures = [
         departure
         for flow, stream in zip(traffic.flows, streams[len(traffic.vehicles) :], strict=True)
@@ -41,9 +43,10 @@ def _types(vehicles: VehicleClass, rng: np.random.Generator) -> list[str]:
     length = _normal(rng, vehicles.length, vehicles.length_sd, n)
     gap = np.maximum(_normal(rng, vehicles.min_gap, vehicles.min_gap_sd, n), 0.5)
     factor = _normal(rng, vehicles.speed_factor, vehicles.speed_factor_sd, n)
-    model = ' sigma="{:g}"'.format(vehicles.imperfection) if vehicles.car_following == "Krauss" else ""
+    model = f' sigma="{vehicles.imperfection:g}"' if vehicles.car_following == "Krauss" else ""
     return [
-        f'    <vType id="{vehicles.name}.{k}" vClass="{vehicles.v_class}" carFollowModel="{vehicles.car_following}"{model}'
+        f'    <vType id="{vehicles.name}.{k}" vClass="{vehicles.v_class}"'
+        f' carFollowModel="{vehicles.car_following}"{model}'
         f' length="{length[k]:.2f}" width="{vehicles.width:g}" accel="{vehicles.acceleration:g}"'
         f' decel="{vehicles.deceleration:g}" emergencyDecel="{vehicles.emergency_deceleration:g}"'
         f' tau="{tau[k]:.3f}" minGap="{gap[k]:.2f}" speedFactor="{factor[k]:.3f}" lcStrategic="{lane.strategic:g}"'

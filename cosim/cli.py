@@ -1,0 +1,168 @@
+"""The `cosim` command."""
+
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Annotated, Literal, NoReturn
+
+import msgspec
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+from gri.errors import InputError
+
+# Each command imports what it needs: torch and SUMO take seconds to import, and `--help` should not.
+
+app = typer.Typer(
+    help="Run driving policies in closed loop with SUMO traffic.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+)
+BASELINES = {"sumo": "sumo", "idm": "idm", "constant-velocity": "constant_velocity"}
+
+
+@app.command()
+def run(
+    scenario: Annotated[str, typer.Argument(help="Name of a shipped scenario, or path of a YAML file.")],
+    baseline: Annotated[
+        Literal["sumo", "idm", "constant-velocity"] | None,
+        typer.Option(help="Drive the same groups with a baseline instead of the scenario's policy."),
+    ] = None,
+    seed: Annotated[int | None, typer.Option(help="Replace the scenario's seed.")] = None,
+    episodes: Annotated[int | None, typer.Option(help="Replace the scenario's number of episodes.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Run folder to write; default: a new one in runs/.")] = None,
+) -> None:
+    """Take three-vehicle groups out of live traffic, drive them, hand them back."""
+    from cosim.job import run_job
+    from cosim.loading import load_scenario, override
+    from cosim.results import next_folder, run_folder
+    from cosim.scenario import tag_of
+    from cosim.worker import run_in_worker
+
+    changes = {"seed": seed, "episodes": episodes, "policy": baseline and {"kind": BASELINES[baseline]}}
+    chosen = override(load_scenario(scenario), {k: v for k, v in changes.items() if v is not None})
+    driver = tag_of(chosen.policy)
+    folder = out or next_folder(Path("runs"), f"{Path(scenario).stem}-{driver}-seed{chosen.seed}")
+    began = time.monotonic()
+    with run_folder(folder) as partial, _Progress() as progress:
+        run_in_worker(run_job, chosen, partial, log=partial / "sumo.log", tell=progress.tell)
+    _show(folder)
+    _say(f"\n{time.monotonic() - began:.0f} s. Tables, manifest and picture: {folder}")
+    _next(f"cosim report {folder}" if baseline else f"cosim run {scenario} --baseline idm")
+
+
+@app.command()
+def report(
+    run: Annotated[Path, typer.Argument(help="A run folder.")],
+    episode: Annotated[int | None, typer.Option(help="Draw this episode instead of the most eventful.")] = None,
+) -> None:
+    """Show the table of a finished run and draw one of its episodes."""
+    from cosim.report import picture
+    from cosim.results import read_tables
+
+    tables = read_tables(run)
+    known = int(tables["groups"]["episode"].max())
+    if episode is not None and not 0 <= episode <= known:
+        raise InputError(f"--episode: got {episode}, {run} has the episodes 0 to {known}")
+    _show(run)
+    path = run / ("episode.png" if episode is None else f"episode-{episode}.png")
+    picture(tables, path, episode)
+    _say(f"\nPicture: {path}")
+    _next(f"python -c \"import pandas; print(pandas.read_parquet('{run}/steps.parquet'))\"")
+
+
+@app.command("list")
+def list_() -> None:
+    """List the scenarios, nets and checkpoints that come with the project."""
+    from cosim.loading import load_scenario, names_of
+    from gri.resources import checkpoints, shipped
+
+    _say("[bold]scenarios[/bold]")
+    for name in names_of("scenarios"):
+        _say(f"  {name}  {load_scenario(name).description}")
+    _say("[bold]nets[/bold]")
+    for path in sorted(shipped("sumo_nets").glob("*/*.net.xml")):
+        _say(f"  {path.parent.name}  {path}")
+    _say(f"[bold]checkpoints[/bold]\n  {', '.join(checkpoints())}")
+    _next("cosim run us101_car_following")
+
+
+@app.command()
+def schema() -> None:
+    """Print the JSON Schema of scenario files, for editors."""
+    from cosim.scenario import json_schema
+
+    sys.stdout.write(msgspec.json.format(json.dumps(json_schema())) + "\n")
+
+
+class _Progress:
+    """A bar per stage in a terminal; elsewhere a plain line per stage and per quarter of it."""
+
+    def __init__(self) -> None:
+        columns = (
+            TextColumn("{task.description:>10}"),
+            BarColumn(),
+            TextColumn("{task.completed}/{task.total}"),
+        )
+        self._bars = Progress(*columns, TimeElapsedColumn(), console=_errors)
+        self._stages: dict[str, int] = {}
+        self._plain: dict[str, int] = {}
+
+    def __enter__(self) -> "_Progress":
+        if _errors.is_terminal:
+            self._bars.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if _errors.is_terminal:
+            self._bars.stop()
+
+    def tell(self, stage: str, done: int, of: int) -> None:
+        if not _errors.is_terminal:
+            quarter = 4 * done // max(of, 1)
+            if quarter > self._plain.get(stage, -1):
+                self._plain[stage] = quarter
+                _errors.print(f"{stage}: {done}/{of}", highlight=False)
+            return
+        if stage not in self._stages:
+            self._stages[stage] = self._bars.add_task(stage, total=of)
+        self._bars.update(self._stages[stage], completed=done, total=of)  # type: ignore[arg-type]
+
+
+_console = Console(highlight=False)
+_errors = Console(stderr=True, highlight=False)
+
+
+def _say(text: str) -> None:
+    _console.print(text, soft_wrap=True)
+
+
+def _next(command: str) -> None:
+    _console.print(f"Next: [bold]{command}[/bold]", soft_wrap=True)
+
+
+def _show(folder: Path) -> None:
+    from cosim.report import summary
+    from cosim.results import read_tables
+
+    _console.print(summary(read_tables(folder)["groups"]))
+
+
+def _fail(message: str, code: int) -> NoReturn:
+    _errors.print(f"error: {message}", markup=False, soft_wrap=True)
+    sys.exit(code)
+
+
+def main() -> None:
+    """Entry point: input errors are one line and exit code 2, failures exit code 1, Ctrl-C 130."""
+    try:
+        app(standalone_mode=True)
+    except InputError as error:
+        _fail(str(error), 2)
+    except KeyboardInterrupt:
+        _fail("stopped; nothing was left half-written", 130)
+    except RuntimeError as error:
+        _fail(str(error), 1)

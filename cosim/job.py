@@ -1,0 +1,71 @@
+"""One run from a scenario to a run folder; what `cosim run` does in its worker process."""
+
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from xml.etree import ElementTree
+
+import msgspec
+import torch
+
+from cosim import results
+from cosim.closed_loop import Files, run
+from cosim.groups import expected_graph
+from cosim.policies import checkpoint_path, policy_of
+from cosim.report import picture
+from cosim.scenario import Scenario, Trained, tag_of
+from gri.errors import InputError
+from gri.resources import shipped
+
+
+def find_net(name: str) -> Path:
+    """The built net of that name (shipped in `sumo_nets/`) or path; checked to be whole XML of the right kind."""
+    path = next((p for p in (Path(name), shipped("sumo_nets", name, f"{name}.net.xml")) if p.is_file()), None)
+    if path is None:
+        known = ", ".join(sorted(p.parent.name for p in shipped("sumo_nets").glob("*/*.net.xml")))
+        raise InputError(f"net: no net {name!r}: expected the path of a .net.xml file or a shipped name ({known})")
+    try:
+        root = ElementTree.parse(path).getroot()
+    except ElementTree.ParseError as error:
+        raise InputError(f"{path}:{error.position[0]}: not well-formed XML ({error}); build the net again") from None
+    if root.tag != "net":
+        raise InputError(f"{path}: got a <{root.tag}> file, expected a SUMO <net>; build one with netconvert")
+    return path
+
+
+def run_job(scenario: Scenario, folder: Path, tell: Callable[..., None]) -> None:
+    """Run the scenario and write its tables, manifest and picture into an existing folder."""
+    torch.set_num_threads(1)  # the models are tiny: more threads are slower
+    net, policy = find_net(scenario.net), policy_of(scenario)
+    with tempfile.TemporaryDirectory() as scratch:
+        files = Files(net, Path(scratch, "routes.rou.xml"), folder / "sumo.log")
+        outcome = run(scenario, files, policy, tag_of(scenario.policy), tell)
+        routes = results.sha256(files.routes)
+    if not outcome.episodes:
+        raise InputError(
+            f"group: no group fits the rule within {scenario.time_limit:g} s; loosen its gaps or raise time_limit"
+        )
+    episodes = [*outcome.episodes, *([] if policy is None else outcome.left_to_sumo)]
+    expected = expected_graph(scenario.group)
+    tables = {
+        "steps": results.steps_table(episodes),
+        "groups": results.groups_table(episodes, expected),
+        "events": results.events_table(episodes),
+    }
+    results.write_tables(folder, tables)
+    inputs = {"net": net}
+    if isinstance(scenario.policy, Trained):
+        inputs["checkpoint"] = checkpoint_path(scenario.policy.checkpoint)
+    (folder / "scenario.json").write_bytes(msgspec.json.format(msgspec.json.encode(scenario)) + b"\n")
+    run_facts = {
+        "driver": tag_of(scenario.policy),
+        "seed": scenario.seed,
+        "episodes": scenario.episodes,
+        "simulated_seconds": outcome.simulated,
+        "trunk_collision_steps": outcome.collisions,
+        "trunk_teleports": outcome.teleports,
+        "routes_sha256": routes,
+    }
+    results.write_manifest(folder, results.manifest(run_facts, inputs, folder))
+    tell("picture", 0, 1)
+    picture(tables, folder / "episode.png")

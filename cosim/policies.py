@@ -1,0 +1,81 @@
+"""From the driver a scenario names to a policy that fits it."""
+
+from pathlib import Path
+
+from cosim import scenario as spec
+from cosim.frames import NOMINAL_LENGTH
+from gri import checkpoint
+from gri.dynamics import DynamicsName
+from gri.errors import InputError
+from gri.graph import FOLLOWING, LANE_CHANGING, Vocabulary
+from gri.model import RelationalModel
+from gri.policy import ConstantVelocity, IntelligentDriver, Policy
+from gri.resources import checkpoint as released
+from gri.resources import checkpoints
+
+
+def policy_of(scenario: spec.Scenario) -> Policy | None:
+    """The policy that a scenario's driver names; None where the group is left to SUMO.
+
+    Raises InputError where a checkpoint does not fit the group rule, the step or the history.
+    """
+    match scenario.policy:
+        case spec.LeftToSumo():
+            return None
+        case spec.Idm():
+            policy: Policy = IntelligentDriver(scenario.step, length=NOMINAL_LENGTH)
+        case spec.ConstantVelocity():
+            policy = ConstantVelocity(scenario.step)
+        case spec.Trained(checkpoint=name):
+            path = checkpoint_path(name)
+            model = checkpoint.load(path)
+            _check_vocabulary(model, scenario.group, path)
+            policy = model
+    _check_fit(policy, scenario)
+    return policy
+
+
+def checkpoint_path(name: str) -> Path:
+    """The file of a checkpoint given by path or by the name of a released one."""
+    for path in (Path(name), released(name)):
+        if path.is_file():
+            return path
+    raise InputError(
+        f"policy.checkpoint: no checkpoint {name!r}: expected a path or a released name ({', '.join(checkpoints())});"
+        " make one with `gri train`"
+    )
+
+
+def _wanted(rule: spec.GroupRule) -> tuple[DynamicsName, Vocabulary]:
+    """State layout and edge vocabulary that a group rule is driven with."""
+    if isinstance(rule, spec.CarFollowing):
+        return DynamicsName.POINT_MASS_1D, FOLLOWING
+    return DynamicsName.DUBINS, LANE_CHANGING
+
+
+def _check_vocabulary(model: RelationalModel, rule: spec.GroupRule, path: Path) -> None:
+    wanted = _wanted(rule)[1]
+    if model.config.vocabulary != wanted:
+        raise InputError(
+            f"{path}: got the edge vocabulary ({', '.join(model.config.vocabulary)}), the group rule"
+            f" {spec.tag_of(rule)!r} wants ({', '.join(wanted)}); choose another policy.checkpoint"
+        )
+
+
+def _check_fit(policy: Policy, scenario: spec.Scenario) -> None:
+    layout = _wanted(scenario.group)[0]
+    if layout is not DynamicsName.POINT_MASS_1D:
+        raise InputError("group.rule: merging groups can be watched but not driven yet; set policy to {kind: sumo}")
+    if policy.dynamics.name is not layout:
+        raise InputError(
+            f"policy: got a policy for {policy.dynamics.name} states {policy.dynamics.state}, the group rule"
+            f" {spec.tag_of(scenario.group)!r} wants {layout} states; choose another policy"
+        )
+    if abs(policy.dt - scenario.step) > 1e-9:
+        raise InputError(f"step: got {scenario.step:g} s, the policy acts every {policy.dt:g} s; set step to that")
+    if policy.history_steps > scenario.steps(scenario.history):
+        needed = policy.history_steps * scenario.step
+        raise InputError(
+            f"history: got {scenario.history:g} s, the policy wants {policy.history_steps} states; set history to at"
+            f" least {needed:g}"
+        )
