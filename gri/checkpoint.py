@@ -72,9 +72,7 @@ def load(path: Path | str) -> RelationalModel:
     try:
         model.load_state_dict(content["tensors"])
     except RuntimeError as error:
-        raise InputError(
-            f"{path}: tensors do not fit the stored configuration ({_line(error)}); {_REMAKE}"
-        ) from error
+        raise InputError(f"{path}: tensors do not fit the stored configuration ({_line(error)}); {_REMAKE}") from error
     return model.requires_grad_(False).eval()
 
 
@@ -118,9 +116,7 @@ def _decoded(text: str, kind: type, path: Path | str) -> Any:
     try:
         return msgspec.json.decode(text, type=kind)
     except msgspec.DecodeError as error:
-        raise InputError(
-            f"{path}: its stored configuration does not fit this release ({error}); {_REMAKE}"
-        ) from error
+        raise InputError(f"{path}: its stored configuration does not fit this release ({error}); {_REMAKE}") from error
 
 
 def _check_layout(content: dict[str, Any], model: RelationalModel, path: Path | str) -> None:
@@ -136,9 +132,7 @@ def _check_layout(content: dict[str, Any], model: RelationalModel, path: Path | 
     }
     for field, value in wanted.items():
         if content.get(field) != value:
-            raise InputError(
-                f"{path}: got {field} {content.get(field)}, this release wants {value}; {_REMAKE}"
-            )
+            raise InputError(f"{path}: got {field} {content.get(field)}, this release wants {value}; {_REMAKE}")
 
 
 def _line(error: Exception) -> str:

@@ -144,8 +144,6 @@ def stop_at_standstill(
     """
     x, v, a = state.unbind(-1)
     reversing = next_state[..., 1] < 0
-    stopping_distance = torch.where(
-        a < 0, v.clamp(min=0) ** 2 / (-2 * a).clamp(min=1e-6), torch.zeros_like(x)
-    )
+    stopping_distance = torch.where(a < 0, v.clamp(min=0) ** 2 / (-2 * a).clamp(min=1e-6), torch.zeros_like(x))
     stopped = torch.stack([x + stopping_distance, torch.zeros_like(v), torch.zeros_like(a)], dim=-1)
     return torch.where(reversing[..., None], stopped, next_state)

@@ -43,9 +43,7 @@ class Encoder(nn.Module):
         super().__init__()
         self.config, self.dt = config, dt
         hidden = config.hidden
-        self.register_buffer(
-            "offset", torch.tensor([scale.offset[d] for d in config.reads]), persistent=False
-        )
+        self.register_buffer("offset", torch.tensor([scale.offset[d] for d in config.reads]), persistent=False)
         self.register_buffer("unit", torch.tensor([scale.unit[d] for d in config.reads]), persistent=False)
         self.embedding = TemporalEmbedding(len(config.reads) + 1, hidden, config.kernel, config.heads)
         self.edge_1 = nn.Sequential(mlp([2 * hidden, hidden, hidden]), nn.SiLU())

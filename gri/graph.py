@@ -47,9 +47,7 @@ class InteractionGraph:
     vocabulary: Vocabulary
 
     def __post_init__(self) -> None:
-        assert self.logits.shape[-1] == len(self.vocabulary), (
-            f"{self.logits.shape} does not fit {self.vocabulary}"
-        )
+        assert self.logits.shape[-1] == len(self.vocabulary), f"{self.logits.shape} does not fit {self.vocabulary}"
 
     @classmethod
     def certain(cls, types: Int[Tensor, "B E"], vocabulary: Vocabulary) -> "InteractionGraph":

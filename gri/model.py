@@ -78,9 +78,7 @@ class RelationalModel(nn.Module):
         if self.encoder is not None:
             return InteractionGraph(self.encoder(state), self.config.vocabulary)
         edges = {(edge.sender, edge.receiver): edge.type for edge in self.config.graph}
-        return InteractionGraph.of_edges(
-            edges, self.config.vocabulary, n=state.shape[1], batch=state.shape[0]
-        )
+        return InteractionGraph.of_edges(edges, self.config.vocabulary, n=state.shape[1], batch=state.shape[0])
 
     @torch.no_grad()
     def begin(self, history: Trajectory) -> PolicyState:
@@ -92,21 +90,15 @@ class RelationalModel(nn.Module):
                 "leave out groups in which a vehicle was not seen"
             )
         if abs(history.dt - self.dt) > 1e-6:
-            raise ValueError(
-                f"got a history sampled every {history.dt} s, the model wants {self.dt} s; resample it"
-            )
-        return PolicyState(
-            self.infer(history.state[:, :, -self.history_steps :]), self.memory(history.initial)
-        )
+            raise ValueError(f"got a history sampled every {history.dt} s, the model wants {self.dt} s; resample it")
+        return PolicyState(self.infer(history.state[:, :, -self.history_steps :]), self.memory(history.initial))
 
     def memory(self, state: Float[Tensor, "B N D"]) -> Float[Tensor, "B N H"]:
         """The empty memory a roll-out starts with."""
         return state.new_zeros(*state.shape[:2], self.decoder.memory_size)
 
     @torch.no_grad()
-    def act(
-        self, memory: PolicyState, state: Float[Tensor, "B N D"]
-    ) -> tuple[Float[Tensor, "B N A"], PolicyState]:
+    def act(self, memory: PolicyState, state: Float[Tensor, "B N D"]) -> tuple[Float[Tensor, "B N A"], PolicyState]:
         """Mean action under the most probable graph."""
         assert memory.graph is not None, "begin() gives a PolicyState with a graph"
         action, recurrent = self.decoder.bind(dense(memory.graph.one_hot))(relative(state), memory.memory)

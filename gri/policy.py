@@ -65,9 +65,7 @@ class Policy(Protocol):
         """Watch the history of B groups; its last state is the one `act` is first called with."""
         ...
 
-    def act(
-        self, memory: PolicyState, state: Float[Tensor, "B N D"]
-    ) -> tuple[Float[Tensor, "B N A"], PolicyState]:
+    def act(self, memory: PolicyState, state: Float[Tensor, "B N D"]) -> tuple[Float[Tensor, "B N A"], PolicyState]:
         """The (mean) action of every vehicle, and the memory for the next step."""
         ...
 
@@ -87,9 +85,7 @@ class ConstantVelocity:
     def begin(self, history: Trajectory) -> PolicyState:
         return _no_memory(history)
 
-    def act(
-        self, memory: PolicyState, state: Float[Tensor, "B N 3"]
-    ) -> tuple[Float[Tensor, "B N 1"], PolicyState]:
+    def act(self, memory: PolicyState, state: Float[Tensor, "B N 3"]) -> tuple[Float[Tensor, "B N 1"], PolicyState]:
         return -state[..., 2:3] / self.dt, memory
 
 
@@ -116,18 +112,14 @@ class IntelligentDriver:
     def begin(self, history: Trajectory) -> PolicyState:
         return _no_memory(history)
 
-    def act(
-        self, memory: PolicyState, state: Float[Tensor, "B N 3"]
-    ) -> tuple[Float[Tensor, "B N 1"], PolicyState]:
+    def act(self, memory: PolicyState, state: Float[Tensor, "B N 3"]) -> tuple[Float[Tensor, "B N 1"], PolicyState]:
         x, v, a = state.unbind(-1)
         ahead = x[:, None, :] - x[:, :, None]  # Shape: (B, follower, leader)
         ahead = torch.where(ahead > 0, ahead, torch.inf)
         headway, leader = ahead.min(-1)
         closing = v - v.gather(1, leader)
         gap = (headway - self.length).clamp(min=0.1)
-        dynamic_gap = v * self.time_headway + v * closing / (
-            2 * (self.acceleration * self.deceleration) ** 0.5
-        )
+        dynamic_gap = v * self.time_headway + v * closing / (2 * (self.acceleration * self.deceleration) ** 0.5)
         wanted_gap = self.minimum_gap + dynamic_gap.clamp(min=0)
         interaction = torch.where(torch.isinf(headway), torch.zeros_like(gap), (wanted_gap / gap) ** 2)
         target = self.acceleration * (1 - (v / self.desired_speed) ** 4 - interaction)

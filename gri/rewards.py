@@ -62,9 +62,7 @@ def car_following_terms(config: RewardConfig) -> Terms:
         edge={
             EdgeType.FOLLOW: {
                 "idm": lambda sender, receiver: features.g_idm(sender, receiver, constants) / units.gap**2,
-                "dist": lambda sender, receiver: (
-                    features.g_dist(sender, receiver, constants) / units.collision**2
-                ),
+                "dist": lambda sender, receiver: features.g_dist(sender, receiver, constants) / units.collision**2,
             }
         },
     )
@@ -81,11 +79,10 @@ class StructuredReward(nn.Module):
         self.terms = car_following_terms(config)
         sizes = {"node": len(self.terms.node)} | {str(k): len(terms) for k, terms in self.terms.edge.items()}
         self.psi = nn.ParameterDict({name: nn.Parameter(torch.zeros(size)) for name, size in sizes.items()})
+        self.log_alpha = nn.Parameter(torch.zeros(()))
 
     @classmethod
-    def with_weights(
-        cls, config: RewardConfig, weights: Mapping[str, Mapping[str, float]]
-    ) -> "StructuredReward":
+    def with_weights(cls, config: RewardConfig, weights: Mapping[str, Mapping[str, float]]) -> "StructuredReward":
         """The reward with given weights 1 + e^ψ, each above 1."""
         reward = cls(config)
         for group, values in weights.items():
@@ -111,9 +108,7 @@ class StructuredReward(nn.Module):
     ) -> Float[Tensor, "*batch terms"]:
         return torch.stack([term(sender, receiver) for term in self.terms.edge[kind].values()], -1)
 
-    def of_vehicles(
-        self, state: Float[Tensor, "B N T D"], action: Float[Tensor, "B N T A"]
-    ) -> Float[Tensor, "B N T"]:
+    def of_vehicles(self, state: Float[Tensor, "B N T D"], action: Float[Tensor, "B N T A"]) -> Float[Tensor, "B N T"]:
         """r^n of every vehicle and step."""
         return -self.node_features(state, action) @ self.weights("node")
 
@@ -167,9 +162,7 @@ class ShapedReward(nn.Module):
         self.relation = mlp([2 * features - 1, hidden, hidden, kinds])
         self.bias = nn.Parameter(torch.zeros(()))
 
-    def potentials(
-        self, state: Float[Tensor, "B N T D"]
-    ) -> tuple[Float[Tensor, "B N T"], Float[Tensor, "B E T K"]]:
+    def potentials(self, state: Float[Tensor, "B N T D"]) -> tuple[Float[Tensor, "B N T"], Float[Tensor, "B E T K"]]:
         """h^n of every vehicle and h^{e,k} of every pair, 0 for type 0; positions as differences only."""
         senders, receivers = edge_ends(state.shape[1])
         scaled = (state - self.offset) / self.unit

@@ -1,0 +1,170 @@
+"""Synthetic car-following scenes: an expert policy, trained on the true reward and graph, rolled out (Sec.
+VI-C).
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from gri.data.leader import leader_states, uniform
+from gri.data.ranges import GraphShare, SceneRange
+from gri.decoder import DecoderConfig
+from gri.graph import FOLLOWING, EdgeType, pairs
+from gri.model import ModelConfig, RelationalModel
+from gri.rewards import StructuredReward
+from gri.rollout import rollout
+
+Progress = Callable[[str, int, int, float], None]
+"""(what, updates done, updates in all, value of the objective)."""
+
+
+@dataclass(frozen=True)
+class Scenes:
+    """Demonstrations: states, the actions of the driven vehicles, and the true graph as type indices."""
+
+    state: Float[Tensor, "S N T D"]
+    action: Float[Tensor, "S R T-1 A"]
+    graph: Int[Tensor, "S E"]
+
+    def __len__(self) -> int:
+        return len(self.state)
+
+    def __getitem__(self, scenes: Tensor | slice) -> "Scenes":
+        return Scenes(self.state[scenes], self.action[scenes], self.graph[scenes])
+
+    @property
+    def start(self) -> Float[Tensor, "S N D"]:
+        return self.state[:, :, 0]
+
+    @property
+    def leader(self) -> Float[Tensor, "S T D"]:
+        return self.state[:, -1]
+
+    def one_hot(self, types: int) -> Float[Tensor, "S E K"]:
+        return torch.nn.functional.one_hot(self.graph, types).float()
+
+
+def sample_starts(
+    scenes: SceneRange, count: int, generator: torch.Generator, steps: int | None = None
+) -> tuple[Float[Tensor, "B 3 3"], Float[Tensor, "B T 3"]]:
+    """Initial states of three vehicles in a row and the leader's trajectory."""
+    starts, settled = scenes.starts, torch.rand(count, 1, generator=generator) < scenes.starts.settled
+    speed = _speeds(scenes, count, generator)
+    constants = scenes.reward.constants
+    wanted = (constants.standstill + constants.time_headway * speed[:, :2]) * uniform(
+        generator, 1 - starts.spread, 1 + starts.spread, count, 2
+    )
+    headway = torch.where(settled, wanted, uniform(generator, *starts.headway, count, 2))
+    headway = headway.clamp(*starts.headway)
+    zero = torch.zeros(count, 1)
+    position = torch.cat([-headway.sum(1, keepdim=True), -headway[:, 1:], zero], 1)
+    acceleration = torch.cat([uniform(generator, *starts.acceleration, count, 2), zero], 1)
+    start = torch.stack([position, speed, acceleration], -1)
+    leader = leader_states(scenes.leader, start[:, -1], steps or scenes.steps, scenes.dt, generator)
+    return torch.cat([start[:, :-1], leader[:, None, 0]], 1), leader
+
+
+def _speeds(scenes: SceneRange, count: int, generator: torch.Generator) -> Float[Tensor, "B 3"]:
+    starts = scenes.starts
+    if starts.speed_difference is None:
+        return uniform(generator, *starts.speed, count, 3)
+    difference = uniform(generator, -starts.speed_difference, starts.speed_difference, count, 2)
+    leader = uniform(generator, *starts.speed, count, 1)
+    middle = (leader + difference[:, 1:]).clamp(min=0)
+    return torch.cat([(middle + difference[:, :1]).clamp(min=0), middle, leader], 1)
+
+
+def sample_graphs(graphs: tuple[GraphShare, ...], count: int, generator: torch.Generator) -> Int[Tensor, "B E"]:
+    """True graphs of `count` scenes, as type indices in the following vocabulary."""
+    table = torch.tensor(
+        [
+            [FOLLOWING.index({(e.sender, e.receiver): e.type for e in g.edges}.get(p, EdgeType.NONE)) for p in pairs(3)]
+            for g in graphs
+        ]
+    )
+    shares = torch.tensor([float(g.share) for g in graphs])
+    return table[torch.multinomial(shares, count, replacement=True, generator=generator)]
+
+
+def true_reward(scenes: SceneRange) -> StructuredReward:
+    """The reward the expert maximises."""
+    return StructuredReward.with_weights(scenes.reward, scenes.weights).requires_grad_(False)
+
+
+def train_expert(
+    scenes: SceneRange,
+    graphs: tuple[GraphShare, ...],
+    seed: int,
+    updates: int = 1500,
+    batch: int = 128,
+    progress: Progress | None = None,
+) -> RelationalModel:
+    """A policy that maximises the true return under the true graph by back-propagation through roll-outs.
+
+    Each vehicle maximises its own return: what it makes the vehicle behind it do does not count, and over an
+    edge of type 0 it sees nothing.
+    """
+    torch.manual_seed(seed)
+    generator = torch.Generator().manual_seed(seed)
+    config = ModelConfig(
+        dt=scenes.dt,
+        never_reverse=scenes.never_reverse,
+        scale=scenes.scale,
+        encoder=None,
+        decoder=DecoderConfig(),
+    )
+    expert, reward = RelationalModel(config), true_reward(scenes)
+    optimiser = torch.optim.Adam(expert.parameters(), 3e-3, (0.9, 0.99))
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, 3e-3, updates)
+    for update in range(updates):
+        start, leader = sample_starts(scenes, batch, generator)
+        one_hot = torch.nn.functional.one_hot(sample_graphs(graphs, batch, generator), 2).float()
+        value = mean_return(expert, reward, start, leader, one_hot)
+        optimiser.zero_grad()
+        (-value).backward()
+        torch.nn.utils.clip_grad_norm_(expert.parameters(), 1.0)
+        optimiser.step()
+        schedule.step()
+        if progress is not None:
+            progress("expert", update + 1, updates, float(value.detach()))
+    return expert.requires_grad_(False)
+
+
+def mean_return(
+    model: RelationalModel, reward: StructuredReward, start: Tensor, leader: Tensor, graph: Tensor
+) -> Float[Tensor, ""]:
+    """Mean reward per driven vehicle and step of the model's roll-outs, each vehicle on its own account."""
+    driven = rollout(model, start, graph, leader, selfish=True)
+    return returns(reward, driven.state, driven.action, graph).mean()
+
+
+def returns(
+    reward: StructuredReward,
+    state: Float[Tensor, "B N T D"],
+    action: Float[Tensor, "B R T-1 A"],
+    graph: Float[Tensor, "B E K"],
+) -> Float[Tensor, "B R T-1"]:
+    """Reward of the driven vehicles at every step, without a gradient to the vehicles they react to."""
+    idle = action.new_zeros(len(action), state.shape[1] - action.shape[1], *action.shape[2:])
+    return reward(state[:, :, :-1], torch.cat([action, idle], 1), graph, cooperative=False)[:, : action.shape[1]]
+
+
+@torch.no_grad()
+def make_scenes(
+    expert: RelationalModel,
+    scenes: SceneRange,
+    graphs: tuple[GraphShare, ...],
+    count: int,
+    seed: int,
+    action_noise: float = 0.0,
+) -> Scenes:
+    """Roll the expert out from random starts; `action_noise` is the standard deviation of its jerk [m/s³]."""
+    generator = torch.Generator().manual_seed(seed)
+    start, leader = sample_starts(scenes, count, generator)
+    types = sample_graphs(graphs, count, generator)
+    noise = torch.randn(count, 2, scenes.steps - 1, 1, generator=generator) * action_noise / expert.decoder.sigma
+    driven = rollout(expert, start, torch.nn.functional.one_hot(types, 2).float(), leader, noise)
+    return Scenes(driven.state, driven.action, types)

@@ -1,0 +1,194 @@
+"""Grounded training without an adversary: reward, then graph, then policy.
+
+1. Reward: the weights of the structured reward and the drivers' rationality maximise the likelihood of the
+recorded actions, summed over all graphs under the sparse prior (`gri.laplace`). No label is used. 2. Graph:
+that likelihood gives every scene a posterior over its edges, which the encoder learns by cross-entropy. The
+encoder never sees the policy's errors, so that the policy cannot redefine what an edge means. 3. Policy: it
+reproduces the recorded scenes under graphs drawn from the encoder, and maximises the learned reward under
+random graphs and from shifted starts, so that an edge keeps its meaning away from the data.
+"""
+
+import msgspec
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from gri.data.synthetic import Scenes, returns
+from gri.graph import pairs
+from gri.laplace import Expansion, edge_posterior, expand, log_likelihood, log_prior
+from gri.model import RelationalModel
+from gri.objectives.common import Descent, Progress, batches, reconstruction_loss, silent
+from gri.rewards import StructuredReward
+from gri.rollout import rollout
+
+
+class Augmentation(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What is done to histories before the encoder learns from them; the labels stay."""
+
+    position_noise: float = 0.0  # [m]
+    speed_noise: float = 0.0  # [m/s]
+    stretch: tuple[float, float] = (1.0, 1.0)
+    """Range of factors on each headway's mean over the history: people keep unlike distances."""
+    window: bool = False
+    """Show the encoder `history_steps` successive states from anywhere in the scene instead of all of them.
+    """
+
+
+class Shifts(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """How starts are shifted, half of them, before the policy maximises the reward from there; uniform
+    ranges.
+    """
+
+    position: tuple[float, float] = (0.0, 12.0)  # [m]
+    speed: tuple[float, float] = (0.0, 0.0)  # [m/s]
+    acceleration: tuple[float, float] = (0.0, 0.0)  # [m/s^2]
+
+
+class GroundedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="gri"):
+    """Sizes and rates of the three stages."""
+
+    no_edge_prior: float = 0.9
+    reward_updates: int = 100
+    reward_rate: float = 0.05
+    reward_batch: int = 16
+    reward_scenes: int = 256
+    updates: int = 1000
+    batch: int = 64
+    policy_rate: float = 3e-3
+    encoder_rate: float = 1e-3
+    return_batch: int = 32
+    return_weight: float = 0.02
+    augmentation: Augmentation = Augmentation()
+    shifts: Shifts = Shifts()
+
+
+def train_grounded(
+    model: RelationalModel,
+    reward: StructuredReward,
+    scenes: Scenes,
+    settings: GroundedSettings,
+    seed: int,
+    progress: Progress = silent,
+) -> None:
+    """Train the model and the reward in place."""
+    generator = torch.Generator().manual_seed(seed)
+    fit_reward(model, reward, scenes, settings, generator, progress)
+    posterior = scene_posterior(model, reward, scenes, settings.no_edge_prior, progress)
+    fit_encoder_and_policy(model, reward, scenes, posterior, settings, generator, progress)
+
+
+def fit_reward(
+    model: RelationalModel,
+    reward: StructuredReward,
+    scenes: Scenes,
+    settings: GroundedSettings,
+    generator: torch.Generator,
+    progress: Progress = silent,
+) -> None:
+    """Maximise Σ_j log Σ_z p(z_j)·p(u_j | z_j) over the reward's weights and α."""
+    chosen = torch.randperm(len(scenes), generator=generator)[: settings.reward_scenes]
+    expansion = _expand(model, reward, scenes[chosen])
+    prior = log_prior(reward, scenes.state.shape[1] - 1, settings.no_edge_prior)
+    descent = Descent(reward.parameters(), settings.reward_rate, settings.reward_updates)
+    total = settings.reward_updates
+    for update, batch in enumerate(batches(len(chosen), settings.reward_batch, total, generator)):
+        evidence = torch.logsumexp(log_likelihood(reward, expansion[batch]) + prior, -1).mean()
+        descent.step(-evidence)
+        progress("reward", update + 1, total, float(evidence.detach()))
+
+
+@torch.no_grad()
+def scene_posterior(
+    model: RelationalModel, reward: StructuredReward, scenes: Scenes, none: float, progress: Progress = silent
+) -> Float[Tensor, "S E K"]:
+    """p(z_ij | u) of every scene under the reward as it stands."""
+    parts = []
+    for start in range(0, len(scenes), _CHUNK):
+        expansion = _expand(model, reward, scenes[start : start + _CHUNK])
+        parts.append(edge_posterior(reward, expansion, scenes.state.shape[1], none))
+        progress("graph", min(start + _CHUNK, len(scenes)), len(scenes), 0.0)
+    return torch.cat(parts)
+
+
+_CHUNK = 64  # scenes whose Hessians are held at once
+
+
+@torch.no_grad()
+def _expand(model: RelationalModel, reward: StructuredReward, scenes: Scenes) -> Expansion:
+    parts = [scenes[start : start + _CHUNK] for start in range(0, len(scenes), _CHUNK)]
+    return Expansion.concatenate([expand(model, reward, part.state, part.action) for part in parts])
+
+
+def fit_encoder_and_policy(
+    model: RelationalModel,
+    reward: StructuredReward,
+    scenes: Scenes,
+    posterior: Float[Tensor, "S E K"],
+    settings: GroundedSettings,
+    generator: torch.Generator,
+    progress: Progress = silent,
+) -> None:
+    """One update of each per batch; neither sees the other's gradient."""
+    assert model.encoder is not None, "grounded training infers graphs; give the model an encoder"
+    to_encoder = Descent(model.encoder.parameters(), settings.encoder_rate, settings.updates)
+    to_policy = Descent(model.decoder.parameters(), settings.policy_rate, settings.updates)
+    for update, chosen in enumerate(batches(len(scenes), settings.batch, settings.updates, generator)):
+        batch = scenes[chosen]
+        seen = augment(batch.state, settings.augmentation, model.history_steps, generator)
+        graph = model.infer(seen)
+        to_encoder.step(-(posterior[chosen] * graph.logits.log_softmax(-1)).sum(-1).mean())
+        driven = rollout(model, batch.start, graph.sample(generator).detach(), batch.leader)
+        loss = reconstruction_loss(driven.state, batch.state, model.dynamics)
+        value = grounded_return(model, reward, scenes, settings, generator)
+        to_policy.step(loss - settings.return_weight * value)
+        progress("encoder and policy", update + 1, settings.updates, float(loss.detach()))
+
+
+def grounded_return(
+    model: RelationalModel,
+    reward: StructuredReward,
+    scenes: Scenes,
+    settings: GroundedSettings,
+    generator: torch.Generator,
+) -> Float[Tensor, ""]:
+    """Mean learned reward per step under random graphs, half of the starts shifted; each vehicle for itself.
+    """
+    batch = scenes[torch.randint(0, len(scenes), (settings.return_batch,), generator=generator)]
+    start = shift(batch.start, settings.shifts, generator)
+    graph = random_graphs(settings.return_batch, start.shape[1], len(reward.vocabulary), generator)
+    driven = rollout(model, start, graph, batch.leader, selfish=True)
+    return returns(reward, driven.state, driven.action, graph).mean()
+
+
+def random_graphs(count: int, vehicles: int, types: int, generator: torch.Generator) -> Float[Tensor, "B E K"]:
+    """Every edge of any type with the same probability, as one-hot vectors."""
+    drawn = torch.randint(0, types, (count, len(pairs(vehicles))), generator=generator)
+    return torch.nn.functional.one_hot(drawn, types).float()
+
+
+def shift(start: Float[Tensor, "B N D"], shifts: Shifts, generator: torch.Generator) -> Float[Tensor, "B N D"]:
+    """Half of the starts with every driven vehicle moved by its own amount; speeds stay at or above zero."""
+    ranges = torch.tensor([shifts.position, shifts.speed, shifts.acceleration])
+    amount = torch.rand(*start.shape[:2], 3, generator=generator) * (ranges[:, 1] - ranges[:, 0]) + ranges[:, 0]
+    amount[:, -1] = 0
+    amount[len(amount) // 2 :] = 0
+    moved = start + amount
+    return torch.cat([moved[..., :1], moved[..., 1:2].clamp(min=0), moved[..., 2:]], -1)
+
+
+def augment(
+    state: Float[Tensor, "B N T D"], augmentation: Augmentation, history_steps: int, generator: torch.Generator
+) -> Float[Tensor, "B N S D"]:
+    """Histories for the encoder: a window of the scene, noise, and headways stretched about their mean."""
+    if augmentation.window:
+        first = int(torch.randint(0, state.shape[2] - history_steps + 1, (1,), generator=generator))
+        state = state[:, :, first : first + history_steps]
+    position, speed = state[..., 0], state[..., 1]
+    headway = (position[:, 1:] - position[:, :-1]).mean(-1)  # Shape: (B, N−1), of the row from back to front
+    low, high = augmentation.stretch
+    factor = low + (high - low) * torch.rand(headway.shape, generator=generator)
+    back = ((factor - 1) * headway).flip(1).cumsum(1).flip(1)  # how far each vehicle but the first falls back
+    position = position - torch.nn.functional.pad(back, (0, 1))[..., None]
+    position = position + augmentation.position_noise * torch.randn(position.shape, generator=generator)
+    speed = speed + augmentation.speed_noise * torch.randn(speed.shape, generator=generator)
+    return torch.cat([position[..., None], speed[..., None], state[..., 2:]], -1)
