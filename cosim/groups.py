@@ -82,11 +82,15 @@ def _chains(history: Sequence[Snapshot], rule: CarFollowing, inside: Set[str]) -
     ]
 
 
+def _gap(now: Snapshot, behind: int, ahead: int) -> float:
+    return float(net_gap(now.s[[behind]], now.s[[ahead]], now.length[[ahead]])[0])
+
+
 def _binding(now: Snapshot, behind: int, ahead: int, rule: CarFollowing) -> bool:
     """Whether one vehicle is close enough behind another to have to do with it."""
-    gap = net_gap(now.s[behind], now.s[ahead], now.length[ahead])
-    in_time = gap <= rule.max_time_gap * max(float(now.v[behind]), rule.min_speed)
-    return bool(rule.min_gap <= gap <= rule.max_gap and in_time and now.v[behind] >= rule.min_speed)
+    gap = _gap(now, behind, ahead)
+    v = float(now.v[behind])
+    return rule.min_gap <= gap <= min(rule.max_gap, rule.max_time_gap * v) and v >= rule.min_speed
 
 
 def _steady(history: Sequence[Snapshot], ids: Sequence[str]) -> bool:
@@ -111,8 +115,7 @@ def _merges(history: Sequence[Snapshot], rule: Merge, inside: Set[str]) -> list[
             continue
         lag, leader = beside[place - 1][1], beside[place][1]
         fits = all(
-            rule.min_gap <= net_gap(now.s[rows[b]], now.s[rows[a]], now.length[rows[a]]) <= rule.max_gap
-            for b, a in ((lag, merger), (merger, leader))
+            rule.min_gap <= _gap(now, rows[b], rows[a]) <= rule.max_gap for b, a in ((lag, merger), (merger, leader))
         )
         seen = all(len(snapshot.rows((merger, lag, leader))) == 3 for snapshot in history)
         if fits and seen and {lag, leader} <= inside:
