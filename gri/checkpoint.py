@@ -100,9 +100,7 @@ def _read(path: Path) -> dict[str, Any]:
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
     except (RuntimeError, EOFError, ValueError, KeyError, OSError, pickle.UnpicklingError) as error:
-        raise InputError(
-            f"{path}: not a readable checkpoint, damaged or cut short ({_line(error)}); {_REMAKE}"
-        ) from error
+        raise InputError(f"{path}: not a readable checkpoint, damaged or cut short; {_REMAKE}") from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise InputError(f"{path}: a torch file, but not a {FORMAT}; give a file written by `gri train`")
     if content.get("version") != VERSION:

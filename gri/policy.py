@@ -7,7 +7,7 @@ to.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import torch
 from jaxtyping import Float, Int
@@ -43,6 +43,7 @@ class PolicyState:
         return cls(graph, torch.cat([state.memory for state in states]))
 
 
+@runtime_checkable
 class Policy(Protocol):
     """Anything that can drive groups."""
 

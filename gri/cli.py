@@ -1,0 +1,136 @@
+"""The `gri` command: make scenes, train, evaluate."""
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+import torch
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from gri import checkpoint, resources
+from gri.data.store import Splits, scenes_of, scenes_path
+from gri.errors import InputError
+from gri.evaluate import Evaluation, evaluate
+from gri.train import TrainConfig, read_train_config, train
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Learn which vehicle heeds which, and drive by it: data, train, evaluate.",
+)
+console = Console()
+
+ConfigArgument = Annotated[str, typer.Argument(help="A YAML file, or the name of one in scenarios/train.")]
+ScenesOption = Annotated[Path, typer.Option("--scenes", help="Folder in which scenes are kept.")]
+SCENES = Path("runs/scenes")
+
+
+@app.command()
+def data(config: ConfigArgument, scenes: ScenesOption = SCENES) -> None:
+    """1. Make the scenes of a configuration with an expert trained on the true reward."""
+    chosen = _read(config)
+    splits = _scenes(chosen, scenes)
+    sizes = f"{len(splits.train)} + {len(splits.validation)} + {len(splits.test)}"
+    console.print(f"{sizes} scenes in {scenes_path(chosen.data, scenes)}")
+    _next(f"gri train {config}")
+
+
+@app.command(name="train")
+def train_command(
+    config: ConfigArgument,
+    seed: Annotated[int, typer.Option(help="Seed of the weights and of the training.")] = 0,
+    out: Annotated[Path | None, typer.Option(help="Checkpoint to write; default runs/NAME-sSEED.pt.")] = None,
+    scenes: ScenesOption = SCENES,
+) -> None:
+    """2. Train a model and write its checkpoint."""
+    chosen = _read(config)
+    path = out or Path("runs") / f"{chosen.name}-s{seed}.pt"
+    splits = _scenes(chosen, scenes)
+    with _Bar() as progress:
+        trained = train(chosen, splits, seed, progress)
+    checkpoint.save(path, trained.model, trained.reward, trained.provenance)
+    console.print(f"trained in {trained.provenance['seconds']} s, wrote {path}")
+    _next(f"gri evaluate {path}")
+
+
+@app.command(name="evaluate")
+def evaluate_command(
+    path: Annotated[Path, typer.Argument(metavar="CHECKPOINT", help="A checkpoint file, or a released one's name.")],
+    scenes: ScenesOption = SCENES,
+) -> None:
+    """3. Score a checkpoint on the test scenes it was not trained on."""
+    path = path if path.suffix else resources.checkpoint(str(path))
+    model, made = checkpoint.load(path), checkpoint.provenance(path)
+    if "config" not in made:
+        raise InputError(f"{path}: does not say which scenes it belongs to; evaluate one written by `gri train`")
+    splits = _scenes(msgspec.convert(made["config"], TrainConfig), scenes)
+    console.print(_table(path.stem, evaluate(model, splits.test), len(splits.test)))
+    _next("cosim --help")
+
+
+def _read(config: str) -> TrainConfig:
+    path = Path(config)
+    return read_train_config(path if path.suffix else resources.shipped("scenarios", "train", f"{config}.yaml"))
+
+
+def _scenes(config: TrainConfig, folder: Path) -> Splits:
+    with _Bar() as progress:
+        return scenes_of(config.data, folder, progress)
+
+
+class _Bar:
+    """A progress display that can be called as a `gri.objectives.common.Progress`."""
+
+    def __init__(self) -> None:
+        columns = [TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}")]
+        self.display = Progress(
+            *columns, TextColumn("{task.fields[value]:.4g}"), TimeRemainingColumn(), console=console
+        )
+        self.tasks: dict[str, TaskID] = {}
+
+    def __enter__(self) -> Callable[[str, int, int, float], None]:
+        self.display.__enter__()
+        return self._show
+
+    def __exit__(self, *error: object) -> None:
+        self.display.stop()
+
+    def _show(self, what: str, done: int, total: int, value: float) -> None:
+        if what not in self.tasks:
+            self.tasks[what] = self.display.add_task(what, total=total, value=value)
+        self.display.update(self.tasks[what], completed=done, value=value)
+
+
+def _table(name: str, result: Evaluation, scenes: int) -> Table:
+    table = Table("metric", "mean ± std over scenes", "95 % ±", title=f"{name}, {scenes} test scenes")
+    rows = {"RMSE_x [m]": result.rmse["x"], "RMSE_v [m/s]": result.rmse["v"], "accuracy, 6 edges": result.accuracy}
+    rows["accuracy, 4 edges into driven vehicles"] = result.driven_accuracy
+    if result.chain_accuracy is not None:
+        rows[f"accuracy in {result.chain_accuracy.scenes} chain scenes"] = result.chain_accuracy
+    for metric, value in rows.items():
+        table.add_row(metric, str(value), f"{value.half_width:.4f}")
+    return table
+
+
+def _next(command: str) -> None:
+    console.print(f"next: [bold]{command}[/bold]", soft_wrap=True)
+
+
+def main() -> None:
+    """Entry point: bad input is one line on stderr and exit code 2."""
+    torch.set_num_threads(1)  # the matrices are small; more threads are slower
+    try:
+        app()
+    except InputError as error:
+        print(f"error: {error}", file=sys.stderr)
+        raise SystemExit(2) from None
+
+
+if __name__ == "__main__":
+    main()

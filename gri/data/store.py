@@ -1,0 +1,95 @@
+"""Scenes of a configuration: made once by the expert, then read from a file."""
+
+import hashlib
+import os
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+import numpy as np
+import torch
+
+from gri.data.ranges import MIXED_GRAPHS, ONE_GRAPH, RANGES, GraphShare, SceneRange
+from gri.data.synthetic import Progress, Scenes, make_scenes, train_expert
+from gri.errors import InputError
+
+
+class DataConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Which synthetic scenes, how many, from which seed."""
+
+    range: Literal["paper", "us101"]
+    graphs: Literal["one", "mixed"]
+    """One true graph (the chain) for all scenes, or six of which the chain is the most frequent."""
+    train: int = 2000
+    validation: int = 200
+    test: int = 200
+    seed: int = 0
+    expert_updates: int = 1500
+    action_noise: float = 0.0
+    """Standard deviation [m/s³] of independent noise on the expert's jerk."""
+
+    @property
+    def scene_range(self) -> SceneRange:
+        return RANGES[self.range]
+
+    @property
+    def shares(self) -> tuple[GraphShare, ...]:
+        return MIXED_GRAPHS if self.graphs == "mixed" else ONE_GRAPH
+
+
+@dataclass(frozen=True)
+class Splits:
+    """Fixed parts of a data set."""
+
+    train: Scenes
+    validation: Scenes
+    test: Scenes
+
+
+def scenes_path(config: DataConfig, folder: Path) -> Path:
+    """Where the scenes of a configuration are kept; the name changes with anything they depend on."""
+    content = msgspec.json.encode([config, config.scene_range, config.shares])
+    return folder / f"{config.range}-{config.graphs}-{hashlib.sha256(content).hexdigest()[:10]}.npz"
+
+
+def scenes_of(config: DataConfig, folder: Path, progress: Progress | None = None) -> Splits:
+    """The scenes of a configuration: from their file if it is there, else from a newly trained expert."""
+    path = scenes_path(config, folder)
+    scenes = read_scenes(path) if path.is_file() else _made(config, path, progress)
+    sizes = [config.train, config.validation, config.test]
+    parts = torch.arange(len(scenes)).split(sizes)
+    return Splits(*(scenes[part] for part in parts))
+
+
+def _made(config: DataConfig, path: Path, progress: Progress | None) -> Scenes:
+    scenes, shares = config.scene_range, config.shares
+    expert = train_expert(scenes, shares, config.seed, config.expert_updates, progress=progress)
+    count = config.train + config.validation + config.test
+    made = make_scenes(expert, scenes, shares, count, config.seed + 1, config.action_noise)
+    write_scenes(path, made)
+    return made
+
+
+def write_scenes(path: Path, scenes: Scenes) -> None:
+    """Write scenes as arrays `state`, `action`, `graph`; the file appears whole or not at all."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_suffix(f".{os.getpid()}.part")
+    try:
+        with part.open("wb") as file:
+            np.savez(file, state=scenes.state.numpy(), action=scenes.action.numpy(), graph=scenes.graph.numpy())
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def read_scenes(path: Path) -> Scenes:
+    """Scenes of a file written by `write_scenes`."""
+    try:
+        with np.load(path) as arrays:
+            return Scenes(*(torch.from_numpy(arrays[name]) for name in ("state", "action", "graph")))
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise InputError(
+            f"{path}: not a scenes file, or damaged ({error}); delete it, it will be made again"
+        ) from error

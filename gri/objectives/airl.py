@@ -1,0 +1,177 @@
+"""The paper's adversarial objective: encoder, reward and policy in one min-max game (Sec. V-B).
+
+    max_η min_{ξ,ω,ψ,χ,φ} J = E_z~q [ −Σ_t log D(τ^E, z) − E_{τ^G~π(·|z)} Σ_t log(1 − D(τ^G, z)) ],
+    D = e^f / (e^f + π),  subject to E KL[q(z|τ^E) || p(z)] ≤ I_c
+
+Three readings that the paper leaves open are fixed here:
+- D is a matter of each driven vehicle by itself, with logit f_j − log π_j.
+- The policy maximises f − log π under D's logit, as in AIRL, not the saturating −log(1 − D). Its standard
+deviation is held fixed here, so that log π of its own samples carries no gradient and E[f] is what remains. -
+The encoder gets its gradient through f alone, with policy and roll-outs held fixed: f is linear in the one-
+hot z, so that gradient is one number per edge and type, clipped. `contrast` leaves out the weights 1 − D(τ^E)
+and D(τ^G), which fall to zero exactly where the graph is wrong; `literal` keeps them.
+"""
+
+from typing import Literal
+
+import msgspec
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.nn.functional import softplus
+
+from gri.data.synthetic import Scenes
+from gri.graph import InteractionGraph, agents_of, pairs
+from gri.laplace import edge_prior
+from gri.model import RelationalModel
+from gri.objectives.common import Descent, Progress, batches, categorical_kl, silent
+from gri.rewards import ShapedReward
+from gri.rollout import Rollout, log_density, log_prob_of, rollout
+
+
+class AdversarialSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="airl"):
+    """The game's options."""
+
+    updates: int = 600
+    batch: int = 64
+    encoder: Literal["contrast", "literal"] = "contrast"
+    reward_updates: int = 1
+    """Updates of encoder and reward per update of the policy; the literal form needs about 4."""
+    policy_rate: float = 2e-3
+    reward_rate: float = 2e-3
+    encoder_rate: float = 2e-3
+    no_edge_prior: float = 0.9
+    clip: float = 5.0
+    """Bound of the encoder's gradient per edge [nats]; without it the logits saturate in a hundred updates.
+    """
+    beta: Literal["printed", "accumulating"] = "printed"
+    beta_rate: float = 1.0
+    information: float = 0.0
+    """I_c, per edge [nats]."""
+
+
+def airl_logit(f: Float[Tensor, "*batch"], log_pi: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
+    """log D − log(1 − D) = f − log π."""
+    return f - log_pi
+
+
+def discriminator_loss(expert: Float[Tensor, "B R T"], generated: Float[Tensor, "B R T"]) -> Float[Tensor, ""]:
+    """J per vehicle and step from the logits of D: −log D(τ^E) − log(1 − D(τ^G))."""
+    return (softplus(-expert) + softplus(generated)).mean()
+
+
+def edge_gradient(
+    expert: Float[Tensor, "B E T K"],
+    generated: Float[Tensor, "B E T K"],
+    weight_expert: Float[Tensor, "B E T"],
+    weight_generated: Float[Tensor, "B E T"],
+    clip: float,
+) -> Float[Tensor, "B E K"]:
+    """∂J/∂z_ij,k = Σ_t [w^G·f^{e,k}(τ^G) − w^E·f^{e,k}(τ^E)], clipped; w = D(τ^G) and 1 − D(τ^E), or 1."""
+    terms = weight_generated[..., None] * generated - weight_expert[..., None] * expert
+    return terms.sum(2).clamp(-clip, clip)
+
+
+def updated_beta(beta: float, kl: float, settings: AdversarialSettings) -> float:
+    """β ← max(0, [β +] α_β·(E KL − I_c)): without β as printed, with it as dual ascent."""
+    before = beta if settings.beta == "accumulating" else 0.0
+    return max(0.0, before + settings.beta_rate * (kl - settings.information))
+
+
+def train_adversarial(
+    model: RelationalModel,
+    reward: ShapedReward,
+    scenes: Scenes,
+    settings: AdversarialSettings,
+    seed: int,
+    progress: Progress = silent,
+) -> None:
+    """Play the game; trains the model and the reward in place."""
+    assert model.encoder is not None, "the game infers graphs; give the model an encoder"
+    generator = torch.Generator().manual_seed(seed)
+    model.decoder.log_sigma.requires_grad_(False)
+    learned = [p for name, p in reward.named_parameters() if not name.endswith("log_alpha")]
+    inner = settings.updates * settings.reward_updates
+    to_encoder = Descent(model.encoder.parameters(), settings.encoder_rate, inner)
+    to_reward = Descent(learned, settings.reward_rate, inner)
+    policy = [p for p in model.decoder.parameters() if p.requires_grad]
+    to_policy = Descent(policy, settings.policy_rate, settings.updates)
+    beta = 0.0
+    for update in range(settings.updates):
+        for chosen in batches(len(scenes), settings.batch, settings.reward_updates, generator):
+            batch = scenes[chosen]
+            graph = model.infer(batch.state)
+            z = graph.sample(generator)
+            judged = judge(model, reward, batch, z.detach(), generator)
+            to_reward.step(discriminator_loss(judged.expert, judged.generated))
+            kl = categorical_kl(graph.logits, edge_prior(z.shape[-1], settings.no_edge_prior)).mean()
+            beta = updated_beta(beta, float(kl.detach()), settings)
+            slope = encoder_slope(reward, batch, judged, settings)
+            to_encoder.step((z * slope).sum((1, 2)).mean() + z.shape[1] * beta * kl)
+        batch = scenes[torch.randint(0, len(scenes), (settings.batch,), generator=generator)]
+        value = policy_value(model, reward, batch, model.infer(batch.state), generator)
+        to_policy.step(-value)
+        progress("game", update + 1, settings.updates, float(value.detach()))
+
+
+class Judged(msgspec.Struct, frozen=True):
+    """One batch seen by the discriminator: logits of recorded and generated steps, and the generated roll-
+    out.
+    """
+
+    expert: Tensor
+    generated: Tensor
+    rollout: Rollout
+
+
+def judge(model: RelationalModel, reward: ShapedReward, batch: Scenes, z: Tensor, generator: torch.Generator) -> Judged:
+    """Roll the policy out under z and form the logits of D; differentiable in the reward only."""
+    with torch.no_grad():
+        noise = torch.randn(batch.action.shape, generator=generator)
+        driven = rollout(model, batch.start, z, batch.leader, noise)
+        log_pi_expert = log_prob_of(model, batch.state, batch.action, z)
+        log_pi_generated = log_density(noise, model.decoder.sigma)
+    return Judged(
+        airl_logit(shaped(reward, batch.state, batch.action, z), log_pi_expert),
+        airl_logit(shaped(reward, driven.state, driven.action, z), log_pi_generated),
+        driven,
+    )
+
+
+def shaped(reward: ShapedReward, state: Tensor, action: Tensor, z: Tensor) -> Float[Tensor, "B R T"]:
+    """f_j of the driven vehicles."""
+    idle = action.new_zeros(len(action), state.shape[1] - action.shape[1], *action.shape[2:])
+    return reward(state, torch.cat([action, idle], 1), z)[:, : action.shape[1]]
+
+
+@torch.no_grad()
+def encoder_slope(
+    reward: ShapedReward, batch: Scenes, judged: Judged, settings: AdversarialSettings
+) -> Float[Tensor, "B E K"]:
+    """The gradient of J that the encoder is given, for edges into driven vehicles; 0 for the others."""
+    expert, generated = reward.edges(batch.state), reward.edges(judged.rollout.state)
+    n, driven = agents_of(expert.shape[1]), judged.expert.shape[1]
+    receivers = torch.tensor([j for _, j in pairs(n)])
+    counted = (receivers < driven).float()[:, None]
+    receivers = receivers.clamp(max=driven - 1)
+    w_expert, w_generated = torch.ones_like(judged.expert), torch.ones_like(judged.generated)
+    if settings.encoder == "literal":
+        w_expert, w_generated = (-judged.expert).sigmoid(), judged.generated.sigmoid()
+    slope = edge_gradient(expert, generated, w_expert[:, receivers], w_generated[:, receivers], settings.clip)
+    return slope * counted
+
+
+def policy_value(
+    model: RelationalModel,
+    reward: ShapedReward,
+    batch: Scenes,
+    graph: InteractionGraph,
+    generator: torch.Generator,
+) -> Float[Tensor, ""]:
+    """Mean f of the policy's own roll-outs under graphs drawn from the encoder (cooperative, as in the
+    paper).
+    """
+    noise = torch.randn(batch.action.shape, generator=generator)
+    z = graph.sample(generator).detach()
+    driven = rollout(model, batch.start, z, batch.leader, noise)
+    return shaped(reward, driven.state, driven.action, z).mean()

@@ -1,0 +1,97 @@
+"""Train one model from one configuration."""
+
+import time
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import torch
+
+from gri.config import read_yaml
+from gri.data.store import DataConfig, Splits
+from gri.decoder import DecoderConfig
+from gri.encoder import EncoderConfig
+from gri.errors import InputError
+from gri.evaluate import evaluate
+from gri.model import ModelConfig, RelationalModel
+from gri.objectives.airl import AdversarialSettings, train_adversarial
+from gri.objectives.common import Progress, silent
+from gri.objectives.gri import GroundedSettings, train_grounded
+from gri.objectives.supervised import SupervisedSettings, train_supervised
+from gri.rewards import ShapedReward, StructuredReward
+
+Objective = GroundedSettings | AdversarialSettings | SupervisedSettings
+
+
+class TrainConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A model, the scenes it learns from, and the objective it is trained by."""
+
+    name: str
+    data: DataConfig
+    objective: Objective
+    decoder: DecoderConfig = DecoderConfig()
+    encoder: EncoderConfig = EncoderConfig()
+    """Not used by the Supervised objective, which is told the graph."""
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A trained model, the reward it was grounded in if any, and how it came about."""
+
+    model: RelationalModel
+    reward: StructuredReward | None
+    provenance: dict[str, Any]
+
+
+def read_train_config(path: Path | str) -> TrainConfig:
+    """The training configuration of a YAML file."""
+    config = read_yaml(path, TrainConfig)
+    for field in ("train", "validation", "test"):
+        if getattr(config.data, field) < 1:
+            raise InputError(f"{path}: field data.{field}: got {getattr(config.data, field)}, wanted 1 or more scenes")
+    return config
+
+
+def model_config(config: TrainConfig) -> ModelConfig:
+    """The model that goes with the scenes of a configuration."""
+    scenes = config.data.scene_range
+    return ModelConfig(
+        dt=scenes.dt,
+        history_steps=scenes.history_steps,
+        never_reverse=scenes.never_reverse,
+        scale=scenes.scale,
+        decoder=config.decoder,
+        encoder=None if isinstance(config.objective, SupervisedSettings) else config.encoder,
+    )
+
+
+def train(config: TrainConfig, splits: Splits, seed: int, progress: Progress = silent) -> Trained:
+    """Train from scratch; the same configuration, scenes, seed and versions give the same model."""
+    began = time.monotonic()
+    torch.manual_seed(seed)
+    model = RelationalModel(model_config(config))
+    scenes = config.data.scene_range
+    reward: StructuredReward | None = None
+    match config.objective:
+        case SupervisedSettings() as settings:
+            train_supervised(model, splits.train, settings, seed, progress)
+        case GroundedSettings() as settings:
+            reward = StructuredReward(scenes.reward)
+            train_grounded(model, reward, splits.train, settings, seed, progress)
+        case AdversarialSettings() as settings:
+            reward = StructuredReward(scenes.reward)
+            shaped = ShapedReward(reward, scenes.scale)
+            train_adversarial(model, shaped, splits.train, settings, seed, progress)
+    return Trained(model.requires_grad_(False).eval(), reward, _provenance(config, seed, began, model, splits))
+
+
+def _provenance(config: TrainConfig, seed: int, began: float, model: RelationalModel, splits: Splits) -> dict[str, Any]:
+    return {
+        "config": msgspec.to_builtins(config),
+        "seed": seed,
+        "seconds": round(time.monotonic() - began, 1),
+        "versions": {"gri-cosim": version("gri-cosim"), "torch": str(torch.__version__)},
+        "validation": msgspec.to_builtins(evaluate(model, splits.validation)),
+    }
