@@ -85,7 +85,7 @@ def _scenes(config: TrainConfig, folder: Path) -> Splits:
 
 
 class _Bar:
-    """A progress display that can be called as a `gri.objectives.common.Progress`."""
+    """A progress display that can be called as a `gri.progress.Progress`."""
 
     def __init__(self) -> None:
         columns = [TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}")]

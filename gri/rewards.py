@@ -171,7 +171,7 @@ class ShapedReward(nn.Module):
         edges = self.relation(pair)
         return self.vehicle(scaled[..., 1:])[..., 0], torch.cat([torch.zeros_like(edges[..., :1]), edges], -1)
 
-    def edges(self, state: Float[Tensor, "B N T+1 D"]) -> Float[Tensor, "B E T K"]:
+    def edges(self, state: Float[Tensor, "B N T D"]) -> Float[Tensor, "B E T-1 K"]:
         """f^{e,k} of every pair, step and type."""
         senders, receivers = edge_ends(state.shape[1])
         potential = self.potentials(state)[1]
@@ -180,10 +180,10 @@ class ShapedReward(nn.Module):
 
     def forward(
         self,
-        state: Float[Tensor, "B N T+1 D"],
-        action: Float[Tensor, "B N T A"],
+        state: Float[Tensor, "B N T D"],
+        action: Float[Tensor, "B N T-1 A"],
         graph: Float[Tensor, "B E K"],
-    ) -> Float[Tensor, "B N T"]:
+    ) -> Float[Tensor, "B N T-1"]:
         """f_j of every vehicle and step."""
         vehicle = self.potentials(state)[0]
         node = self.reward.of_vehicles(state[:, :, :-1], action) + vehicle[..., 1:] - vehicle[..., :-1]

@@ -17,9 +17,9 @@ from gri.errors import InputError
 from gri.evaluate import evaluate
 from gri.model import ModelConfig, RelationalModel
 from gri.objectives.airl import AdversarialSettings, train_adversarial
-from gri.objectives.common import Progress, silent
 from gri.objectives.gri import GroundedSettings, train_grounded
 from gri.objectives.supervised import SupervisedSettings, train_supervised
+from gri.progress import Progress, silent
 from gri.rewards import ShapedReward, StructuredReward
 
 Objective = GroundedSettings | AdversarialSettings | SupervisedSettings

@@ -12,8 +12,9 @@ import numpy as np
 import torch
 
 from gri.data.ranges import MIXED_GRAPHS, ONE_GRAPH, RANGES, GraphShare, SceneRange
-from gri.data.synthetic import Progress, Scenes, make_scenes, train_expert
+from gri.data.synthetic import Scenes, make_scenes, train_expert
 from gri.errors import InputError
+from gri.progress import Progress, silent
 
 
 class DataConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -54,7 +55,7 @@ def scenes_path(config: DataConfig, folder: Path) -> Path:
     return folder / f"{config.range}-{config.graphs}-{hashlib.sha256(content).hexdigest()[:10]}.npz"
 
 
-def scenes_of(config: DataConfig, folder: Path, progress: Progress | None = None) -> Splits:
+def scenes_of(config: DataConfig, folder: Path, progress: Progress = silent) -> Splits:
     """The scenes of a configuration: from their file if it is there, else from a newly trained expert."""
     path = scenes_path(config, folder)
     scenes = read_scenes(path) if path.is_file() else _made(config, path, progress)
@@ -63,7 +64,7 @@ def scenes_of(config: DataConfig, folder: Path, progress: Progress | None = None
     return Splits(*(scenes[part] for part in parts))
 
 
-def _made(config: DataConfig, path: Path, progress: Progress | None) -> Scenes:
+def _made(config: DataConfig, path: Path, progress: Progress) -> Scenes:
     scenes, shares = config.scene_range, config.shares
     expert = train_expert(scenes, shares, config.seed, config.expert_updates, progress=progress)
     count = config.train + config.validation + config.test

@@ -2,7 +2,6 @@
 VI-C).
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -12,13 +11,11 @@ from torch import Tensor
 from gri.data.leader import leader_states, uniform
 from gri.data.ranges import GraphShare, SceneRange
 from gri.decoder import DecoderConfig
-from gri.graph import FOLLOWING, EdgeType, pairs
-from gri.model import ModelConfig, RelationalModel
+from gri.graph import FOLLOWING, InteractionGraph
+from gri.model import Edge, ModelConfig, RelationalModel
+from gri.progress import Progress, silent
 from gri.rewards import StructuredReward
 from gri.rollout import rollout
-
-Progress = Callable[[str, int, int, float], None]
-"""(what, updates done, updates in all, value of the objective)."""
 
 
 @dataclass(frozen=True)
@@ -79,14 +76,13 @@ def _speeds(scenes: SceneRange, count: int, generator: torch.Generator) -> Float
 
 def sample_graphs(graphs: tuple[GraphShare, ...], count: int, generator: torch.Generator) -> Int[Tensor, "B E"]:
     """True graphs of `count` scenes, as type indices in the following vocabulary."""
-    table = torch.tensor(
-        [
-            [FOLLOWING.index({(e.sender, e.receiver): e.type for e in g.edges}.get(p, EdgeType.NONE)) for p in pairs(3)]
-            for g in graphs
-        ]
-    )
+    table = torch.cat([_certain(graph.edges) for graph in graphs])
     shares = torch.tensor([float(g.share) for g in graphs])
     return table[torch.multinomial(shares, count, replacement=True, generator=generator)]
+
+
+def _certain(edges: tuple[Edge, ...]) -> Int[Tensor, "1 E"]:
+    return InteractionGraph.of_edges({(e.sender, e.receiver): e.type for e in edges}, FOLLOWING).map
 
 
 def true_reward(scenes: SceneRange) -> StructuredReward:
@@ -100,7 +96,7 @@ def train_expert(
     seed: int,
     updates: int = 1500,
     batch: int = 128,
-    progress: Progress | None = None,
+    progress: Progress = silent,
 ) -> RelationalModel:
     """A policy that maximises the true return under the true graph by back-propagation through roll-outs.
 
@@ -128,8 +124,7 @@ def train_expert(
         torch.nn.utils.clip_grad_norm_(expert.parameters(), 1.0)
         optimiser.step()
         schedule.step()
-        if progress is not None:
-            progress("expert", update + 1, updates, float(value.detach()))
+        progress("expert", update + 1, updates, float(value.detach()))
     return expert.requires_grad_(False)
 
 

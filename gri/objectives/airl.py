@@ -24,7 +24,8 @@ from gri.data.synthetic import Scenes
 from gri.graph import InteractionGraph, agents_of, pairs
 from gri.laplace import edge_prior
 from gri.model import RelationalModel
-from gri.objectives.common import Descent, Progress, batches, categorical_kl, silent
+from gri.objectives.common import Descent, batches, categorical_kl
+from gri.progress import Progress, silent
 from gri.rewards import ShapedReward
 from gri.rollout import Rollout, log_density, log_prob_of, rollout
 

@@ -1,19 +1,12 @@
-"""What all objectives share: losses, the optimiser and how progress is told."""
+"""What all objectives share: batches, losses and the optimiser."""
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
 from gri.dynamics import Dynamics
-
-Progress = Callable[[str, int, int, float], None]
-"""(what is trained, updates done, updates in all, value of its objective)."""
-
-
-def silent(what: str, done: int, total: int, value: float) -> None:
-    """No progress shown."""
 
 
 def batches(scenes: int, size: int, updates: int, generator: torch.Generator) -> Iterator[Tensor]:

@@ -17,7 +17,8 @@ from gri.data.synthetic import Scenes, returns
 from gri.graph import pairs
 from gri.laplace import Expansion, edge_posterior, expand, log_likelihood, log_prior
 from gri.model import RelationalModel
-from gri.objectives.common import Descent, Progress, batches, reconstruction_loss, silent
+from gri.objectives.common import Descent, batches, reconstruction_loss
+from gri.progress import Progress, silent
 from gri.rewards import StructuredReward
 from gri.rollout import rollout
 

@@ -5,7 +5,8 @@ import torch
 
 from gri.data.synthetic import Scenes
 from gri.model import RelationalModel
-from gri.objectives.common import Descent, Progress, batches, reconstruction_loss, silent
+from gri.objectives.common import Descent, batches, reconstruction_loss
+from gri.progress import Progress, silent
 from gri.rollout import rollout
 
 
