@@ -12,14 +12,16 @@ R is a weighted sum of features, so g and H are computed once per feature and th
 and graph. The curvature of the dynamics is left out of H; the 1-D point mass has none.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
 from math import log, pi
+from typing import Any
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
-from torch.func import hessian, jacrev, vmap
+from torch.func import jacrev, vmap
 
 from gri.graph import pairs
 from gri.model import RelationalModel
@@ -71,14 +73,14 @@ def _expand_vehicle(
 
     senders = [state[:, i, :-1] for i in range(state.shape[1]) if i != j]
     first = [_over(jacrev(alone), own)] + [_over(jacrev(towards), own, sender) for sender in senders]
-    second = [_over(hessian(alone), own)] + [_over(hessian(towards), own, sender) for sender in senders]
+    second = [_over(jacrev(jacrev(alone)), own)] + [_over(jacrev(jacrev(towards)), own, sender) for sender in senders]
     moves = sensitivities(model, state[:, j, :-1], action)  # Shape: (B, T−1, D+A, n)
     gradient = torch.einsum("btmp,btpn->bmn", torch.cat(first, 2), moves)
     curved = torch.einsum("btmpq,btqn->btmpn", torch.cat(second, 2), moves)
     return gradient, torch.einsum("btpk,btmpn->bmkn", moves, curved)
 
 
-def _over(function, *arguments: Tensor) -> Tensor:
+def _over(function: Callable[..., Any], *arguments: Tensor) -> Any:
     """Apply a function of single points to every scene and instant."""
     return vmap(vmap(function))(*arguments)
 
@@ -89,7 +91,7 @@ def sensitivities(
     """∂(x_t, u_t)/∂u of one vehicle: S_0 = 0, S_{t+1} = (∂f/∂x)·S_t + (∂f/∂u)·E_t, with n = T·A."""
     b, steps, size = state.shape
     actions = action.shape[-1]
-    by_state, by_action = _over(jacrev(model.step, argnums=(0, 1)), state, action)  # type: ignore[misc]
+    by_state, by_action = _over(jacrev(model.step, argnums=(0, 1)), state, action)
     moved = state.new_zeros(b, size, steps * actions)
     rows = []
     for t in range(steps):

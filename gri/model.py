@@ -104,7 +104,7 @@ class RelationalModel(nn.Module):
         action, recurrent = self.decoder.bind(dense(memory.graph.one_hot))(relative(state), memory.memory)
         return action, PolicyState(memory.graph, recurrent)
 
-    def step(self, state: Float[Tensor, "B N D"], action: Float[Tensor, "B N A"]) -> Float[Tensor, "B N D"]:
+    def step(self, state: Float[Tensor, "*batch D"], action: Float[Tensor, "*batch A"]) -> Float[Tensor, "*batch D"]:
         """The next state under the model's dynamics."""
         moved = self.dynamics.step(state, action, self.dt)
         return stop_at_standstill(state, moved) if self.config.never_reverse else moved

@@ -40,19 +40,19 @@ def leader_states(
         speed = start[:, 1:2].expand(-1, steps)
         return torch.stack([start[:, :1] + speed * time, speed, torch.zeros_like(speed)], -1)
     accelerations = _accelerations(config, len(start), steps, dt, generator)
-    states = [torch.cat([start[:, :2], accelerations[:, :1]], -1)]
+    states = [_limited(config, start[:, :2], accelerations[:, 0], dt)]
     for t in range(1, steps):
-        states.append(_step(config, states[-1], accelerations[:, t], dt))
+        moved = POINT_MASS_1D.step(states[-1], torch.zeros_like(states[-1][:, :1]), dt)
+        moved = stop_at_standstill(states[-1], moved)
+        states.append(_limited(config, moved[:, :2], accelerations[:, t], dt))
     return torch.stack(states, 1)
 
 
-def _step(config: LeaderConfig, state: Tensor, acceleration: Tensor, dt: float) -> Tensor:
-    """The point mass's step, with the next acceleration cut down so that the speed stays in range."""
-    moved = stop_at_standstill(state, POINT_MASS_1D.step(state, torch.zeros_like(state[:, :1]), dt))
-    standing = moved[:, 1] <= 0
-    low = torch.where(standing, 0.0, config.acceleration[0])
+def _limited(config: LeaderConfig, moved: Tensor, acceleration: Tensor, dt: float) -> Float[Tensor, "B 3"]:
+    """Position and speed with the acceleration, cut down so that the next speed stays in range."""
+    low = torch.where(moved[:, 1] <= 0, 0.0, config.acceleration[0])
     high = ((config.speed[1] - moved[:, 1]) / dt).clamp(max=config.acceleration[1])
-    return torch.cat([moved[:, :2], acceleration.maximum(low).minimum(high)[:, None]], -1)
+    return torch.cat([moved, acceleration.maximum(low).minimum(high)[:, None]], -1)
 
 
 def _accelerations(

@@ -88,7 +88,7 @@ def write_scenes(path: Path, scenes: Scenes) -> None:
 def read_scenes(path: Path) -> Scenes:
     """Scenes of a file written by `write_scenes`."""
     try:
-        with np.load(path) as arrays:
+        with path.open("rb") as file, np.load(file) as arrays:
             return Scenes(*(torch.from_numpy(arrays[name]) for name in ("state", "action", "graph")))
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise InputError(

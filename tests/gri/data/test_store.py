@@ -1,0 +1,35 @@
+from pathlib import Path
+
+import msgspec
+import pytest
+import torch
+
+from gri.data.store import DataConfig, read_scenes, scenes_of, scenes_path
+from gri.errors import InputError
+
+SMALL = DataConfig(range="paper", graphs="mixed", train=8, validation=3, test=2, expert_updates=2)
+
+
+def test_scenes_are_made_once(tmp_path: Path):
+    updates: list[int] = []
+    first = scenes_of(SMALL, tmp_path, lambda what, done, total, value: updates.append(done))
+    again = scenes_of(SMALL, tmp_path, lambda what, done, total, value: updates.append(done))
+    assert updates == [1, 2]
+    assert (len(first.train), len(first.validation), len(first.test)) == (8, 3, 2)
+    assert torch.equal(first.test.state, again.test.state)
+    assert torch.equal(first.test.graph, again.test.graph)
+    assert [path.name for path in tmp_path.iterdir()] == [scenes_path(SMALL, tmp_path).name]
+
+
+@pytest.mark.parametrize("change", [{"seed": 1}, {"action_noise": 0.1}, {"graphs": "one"}, {"range": "us101"}])
+def test_another_configuration_is_another_file(tmp_path: Path, change: dict):
+    assert scenes_path(msgspec.structs.replace(SMALL, **change), tmp_path) != scenes_path(SMALL, tmp_path)
+
+
+@pytest.mark.parametrize("keep", [0, 40, 2000])
+def test_a_damaged_file_is_named(tmp_path: Path, keep: int):
+    scenes_of(SMALL, tmp_path)
+    path = scenes_path(SMALL, tmp_path)
+    path.write_bytes(path.read_bytes()[:keep])
+    with pytest.raises(InputError, match="not a scenes file, or damaged"):
+        read_scenes(path)

@@ -1,0 +1,43 @@
+from math import log
+
+import pytest
+import torch
+from torch.nn.functional import softplus
+
+from gri.objectives.airl import AdversarialSettings, airl_logit, discriminator_loss, edge_gradient, updated_beta
+
+
+def test_logit_is_that_of_the_papers_discriminator():
+    f, log_pi = torch.tensor(-0.3, dtype=torch.float64), torch.tensor(-1.2, dtype=torch.float64)
+    d = f.exp() / (f.exp() + log_pi.exp())
+    torch.testing.assert_close(airl_logit(f, log_pi), d.log() - (1 - d).log())
+
+
+def test_discriminator_loss_by_hand():
+    expert, generated = torch.full((1, 1, 1), log(3.0)), torch.full((1, 1, 1), log(1 / 4))
+    # D(E) = 3/4, D(G) = 1/5
+    torch.testing.assert_close(discriminator_loss(expert, generated), torch.tensor(-log(0.75) - log(0.8)))
+
+
+def test_the_literal_slope_is_the_derivative_of_the_loss():
+    f_expert, f_generated = torch.randn(2, 6, 5, 1), torch.randn(2, 6, 5, 1)
+    rest_expert, rest_generated = torch.randn(2, 6, 5), torch.randn(2, 6, 5)
+    z = torch.ones(2, 6, 1, requires_grad=True)
+    expert = rest_expert + (f_expert * z[:, :, None]).sum(-1)
+    generated = rest_generated + (f_generated * z[:, :, None]).sum(-1)
+    (softplus(-expert) + softplus(generated)).sum().backward()
+    slope = edge_gradient(f_expert, f_generated, (-expert).sigmoid(), generated.sigmoid(), clip=1e9)
+    torch.testing.assert_close(slope, z.grad)
+
+
+def test_slopes_are_clipped():
+    ones = torch.ones(1, 1, 100)
+    slope = edge_gradient(torch.ones(1, 1, 100, 1), torch.zeros(1, 1, 100, 1), ones, ones, clip=5.0)
+    assert slope.tolist() == [[[-5.0]]]
+
+
+@pytest.mark.parametrize(("form", "expected"), [("printed", 0.25), ("accumulating", 1.25)])
+def test_beta(form: str, expected: float):
+    settings = AdversarialSettings(beta=form, beta_rate=0.5, information=0.5)  # type: ignore[arg-type]
+    assert updated_beta(1.0, 1.0, settings) == expected
+    assert updated_beta(0.0, 0.0, settings) == 0.0

@@ -1,0 +1,35 @@
+from math import log
+
+import torch
+
+from gri.dynamics import POINT_MASS_1D
+from gri.objectives.common import Descent, categorical_kl, reconstruction_loss
+
+
+def test_kl_by_hand():
+    logits = torch.tensor([[[0.0, log(3.0)]]])  # q = (1/4, 3/4)
+    prior = torch.tensor([0.9, 0.1])
+    expected = 0.25 * log(0.25 / 0.9) + 0.75 * log(0.75 / 0.1)
+    torch.testing.assert_close(categorical_kl(logits, prior), torch.tensor([[expected]]))
+
+
+def test_kl_of_a_certain_edge_is_its_price():
+    prior = torch.tensor([0.9, 0.1])
+    certain = torch.tensor([[[-30.0, 30.0], [30.0, -30.0]]])
+    torch.testing.assert_close(categorical_kl(certain, prior), torch.tensor([[-log(0.1), -log(0.9)]]))
+
+
+def test_reconstruction_counts_positions_and_speeds_of_driven_vehicles():
+    recorded = torch.zeros(1, 3, 2, 3)
+    state = recorded.clone()
+    state[0, 0, 1] = torch.tensor([2.0, 1.0, 100.0])  # 4 + 1; the acceleration does not count
+    state[0, 2] = 7.0  # nor does the leader
+    torch.testing.assert_close(reconstruction_loss(state, recorded, POINT_MASS_1D), torch.tensor(5.0 / 4))
+
+
+def test_descent_leaves_other_parameters_alone():
+    mine, other = torch.nn.Parameter(torch.ones(2)), torch.nn.Parameter(torch.ones(2))
+    Descent([mine], 0.1, 10).step((mine * other).sum())
+    assert (mine < 1).all()
+    assert other.grad is None
+    assert torch.equal(other.data, torch.ones(2))
