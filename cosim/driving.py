@@ -136,7 +136,8 @@ class _Pilot:
         for g in active:
             xy, heading = road.to_world(s[g], self._lateral[g])
             for role in OWNED:
-                world.command(groups[g].ids[role], xy[role], float(heading[role]), float(v[g, role]))
+                x, y = xy[role].tolist()
+                world.command(groups[g].ids[role], x, y, float(heading[role]), float(v[g, role]))
 
     def observe(self, frame: _Frame, active: Sequence[int]) -> None:
         """Read the world; the vehicles that are driven are where the dynamics put them."""

@@ -43,8 +43,8 @@ def _name(driver: str) -> str:
     return DRIVER_NAMES.get(driver, driver)
 
 
-def _of(count: float, total: int) -> str:
-    return f"{int(count)} of {total}" if total else "-"
+def _of(count: int, total: int) -> str:
+    return f"{count} of {total}" if total else "-"
 
 
 def _interrupted(groups: pd.DataFrame) -> str:
@@ -75,16 +75,16 @@ def _edges(groups: pd.DataFrame) -> str:
 def _as_expected(groups: pd.DataFrame) -> str:
     if "graph_as_expected" not in groups or groups["graph_as_expected"].isna().all():
         return "-"
-    return _of(groups["graph_as_expected"].sum(), len(groups))
+    return _of(int(groups["graph_as_expected"].sum()), len(groups))
 
 
 _ROWS: tuple[Row, ...] = (
     ("groups", lambda g: str(len(g))),
-    ("  driven to the end", lambda g: _of((g["ending"] == "horizon").sum(), len(g))),
+    ("  driven to the end", lambda g: _of(int((g["ending"] == "horizon").sum()), len(g))),
     ("  interrupted by others", _interrupted),
     ("inferred edges", _edges),
     ("  whole graph as expected", _as_expected),
-    ("success (of those not interrupted)", lambda g: _of(g["success"].sum(), len(_complete(g)))),
+    ("success (of those not interrupted)", lambda g: _of(int(g["success"].sum()), len(_complete(g)))),
     ("collisions", lambda g: str(int(g["contact"].sum()))),
     ("minimum gap [m]: worst / median", lambda g: f"{g['min_gap'].min():.1f} / {g['min_gap'].median():.1f}"),
     ("minimum TTC [s]: worst / median", lambda g: f"{g['min_ttc'].min():.1f} / {g['min_ttc'].median():.1f}"),

@@ -46,7 +46,7 @@ def overlaps(
 
 
 def net_gap(
-    s_behind: Float[np.ndarray, "*n"], s_ahead: Float[np.ndarray, "*n"], length_ahead: Float[np.ndarray, "*n"]
+    s_behind: Float[np.ndarray, "*n"], s_ahead: Float[np.ndarray, "*n"], length_ahead: Float[np.ndarray, "*#n"]
 ) -> Float[np.ndarray, "*n"]:
     """Distance [m] from a front bumper to the rear bumper ahead; negative when they overlap along the road."""
     return s_ahead - length_ahead - s_behind

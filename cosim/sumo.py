@@ -117,16 +117,14 @@ class Sumo:
         api.setSpeedMode(vehicle, _NO_CHECKS)
         api.setLaneChangeMode(vehicle, _NO_CHANGES)
 
-    def command(self, vehicle: str, xy: Sequence[float], heading: float, speed: float) -> None:
+    def command(self, vehicle: str, x: float, y: float, heading: float, speed: float) -> None:
         """Where the vehicle's front bumper shall stand after the next step, its heading [rad] and speed [m/s]."""
-        x, y = float(xy[0]), float(xy[1])
         if not all(math.isfinite(value) for value in (x, y, heading, speed)):
             raise SumoError(
                 f"refused a non-finite command for {vehicle}: x={x}, y={y}, heading={heading}, speed={speed}"
             )
-        angle = float(sumo_angle_of(np.array(heading)))
-        libsumo.vehicle.setSpeed(vehicle, float(speed))
-        libsumo.vehicle.moveToXY(vehicle, "", -1, x, y, angle, _KEEP_ROUTE_EXACT_POSITION)
+        libsumo.vehicle.setSpeed(vehicle, speed)
+        libsumo.vehicle.moveToXY(vehicle, "", -1, x, y, sumo_angle_of(heading), _KEEP_ROUTE_EXACT_POSITION)
         self._pending = True
 
     def release(self, vehicle: str) -> None:

@@ -1,6 +1,7 @@
 """From a traffic description to SUMO's route file text and argument list; pure, so both can be read and tested."""
 
 from collections.abc import Iterator
+from statistics import NormalDist
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
@@ -30,16 +31,25 @@ def route_file(traffic: Traffic, seed: int, end: float) -> str:
     return "\n".join(["<routes>", *lines, "</routes>", ""])
 
 
+def _standard_normal(rng: np.random.Generator, n: int) -> np.ndarray:
+    """The n quantiles of a standard normal in random order, cut off at ±2.
+
+    Unlike independent draws they have the same mean whatever the seed, so that the capacity of a road full of these
+    drivers does not depend on it.
+    """
+    quantiles = np.array([NormalDist().inv_cdf((k + 0.5) / n) for k in range(n)])
+    return np.clip(rng.permutation(quantiles), -2, 2)
+
+
 def _normal(rng: np.random.Generator, mean: float, sd: float, n: int) -> np.ndarray:
-    """Normal draws, cut off at two standard deviations."""
-    return mean + sd * np.clip(rng.standard_normal(n), -2, 2)
+    return mean + sd * _standard_normal(rng, n)
 
 
 def _types(vehicles: VehicleClass, rng: np.random.Generator) -> list[str]:
     """The vType elements of one class: `variants` draws of its distributions."""
     n, lane = vehicles.variants, vehicles.lane_changing
     sigma = np.sqrt(np.log1p(vehicles.tau_cv**2))
-    tau = vehicles.tau * np.exp(sigma * np.clip(rng.standard_normal(n), -2, 2) - sigma**2 / 2)
+    tau = vehicles.tau * np.exp(sigma * _standard_normal(rng, n) - sigma**2 / 2)
     length = _normal(rng, vehicles.length, vehicles.length_sd, n)
     gap = np.maximum(_normal(rng, vehicles.min_gap, vehicles.min_gap_sd, n), 0.5)
     factor = _normal(rng, vehicles.speed_factor, vehicles.speed_factor_sd, n)

@@ -25,8 +25,8 @@ def test_neighbours_in_the_next_lane_do_not_touch():
 
 
 def test_rotated_box_needs_its_own_axes():
-    # The first box has its corner at (0, 1). A box heading -45 degrees, front at (2.5, 0.5), passes it: in its own
-    # frame the corner lies at w = (-2.5 + 0.5) / sqrt(2) = -1.41, beyond its side at -1, though their bounding boxes overlap.
+    # The first box has its corner at (0, 1). A box heading -45 degrees, front at (2.5, 0.5), passes it: seen from that
+    # box the corner lies at w = (-2.5 + 0.5) / sqrt(2) = -1.41, beyond its side, though their bounding boxes overlap.
     # With the front at (1.8, 0.5) the corner lies at w = -0.92, inside.
     far, near = (2.5, 0.5, -np.pi / 4), (1.8, 0.5, -np.pi / 4)
     assert not overlaps(*_boxes((0, 0, 0), far), np.array([0]))[0, 1]

@@ -1,0 +1,38 @@
+"""Short, real SUMO scenarios shared by the tests."""
+
+from pathlib import Path
+
+import msgspec
+import pytest
+
+from cosim.closed_loop import Files, Outcome, run
+from cosim.loading import load_scenario
+from cosim.scenario import Scenario
+from gri.policy import Policy
+from gri.resources import shipped
+
+
+def quiet(*_: object) -> None:
+    """A listener that does not listen."""
+
+
+@pytest.fixture(scope="session")
+def short_scenario() -> Scenario:
+    """US-101 with a minute of warm-up: traffic is there, but not settled."""
+    scenario = load_scenario("us101_car_following")
+    traffic = msgspec.structs.replace(scenario.traffic, warm_up=60.0)
+    return msgspec.structs.replace(
+        scenario, traffic=traffic, horizon=3.0, watch=1.0, episodes=6, groups_at_once=4, time_limit=120.0
+    )
+
+
+@pytest.fixture
+def simulate(tmp_path: Path):
+    """Run a scenario in this process and return its outcome."""
+
+    def simulate(scenario: Scenario, policy: Policy | None, driver: str = "test", **options: bool) -> Outcome:
+        net = shipped("sumo_nets", scenario.net, f"{scenario.net}.net.xml")
+        files = Files(net, tmp_path / "routes.rou.xml", tmp_path / "sumo.log")
+        return run(scenario, files, policy, driver, quiet, **options)
+
+    return simulate

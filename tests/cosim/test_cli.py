@@ -1,0 +1,161 @@
+"""The command as a person uses it: real runs in a subprocess, and every kind of bad input."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import yaml
+
+from gri.resources import checkpoint, shipped
+
+
+def cosim(*arguments: str, cwd: Path, timeout: float = 120) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "cosim", *arguments], cwd=cwd, capture_output=True, text=True, timeout=timeout
+    )
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory) -> Path:
+    """A folder with a short scenario."""
+    folder = tmp_path_factory.mktemp("cli")
+    content = yaml.safe_load(shipped("scenarios", "us101_car_following.yaml").read_text())
+    traffic = yaml.safe_load(shipped("scenarios/traffic", "us101_congested.yaml").read_text())
+    traffic["warm_up"] = 60
+    content |= {"traffic": traffic, "episodes": 4, "horizon": 2.0, "watch": 1.0, "time_limit": 120}
+    (folder / "short.yaml").write_text(yaml.safe_dump(content))
+    return folder
+
+
+def variant(folder: Path, name: str, **changes) -> str:
+    content = yaml.safe_load((folder / "short.yaml").read_text()) | changes
+    (folder / name).write_text(yaml.safe_dump(content))
+    return name
+
+
+def refused(folder: Path, *arguments: str) -> str:
+    """The one line a bad command gets, after checking that nothing was left behind."""
+    before = set(folder.rglob("*"))
+    done = cosim(*arguments, cwd=folder)
+    assert done.returncode == 2, done.stderr
+    assert "Traceback" not in done.stderr
+    lines = [line for line in done.stderr.splitlines() if line.startswith("error:")]
+    assert len(lines) == 1, done.stderr
+    assert done.stdout == ""
+    left = [path for path in set(folder.rglob("*")) - before if path.name != "runs"]
+    assert not left
+    return lines[0]
+
+
+def test_a_run_ends_with_a_table_a_folder_and_the_next_command(short):
+    done = cosim("run", "short.yaml", "--out", "one", cwd=short)
+    assert done.returncode == 0, done.stderr
+    assert "GRI" in done.stdout
+    assert "left to SUMO" in done.stdout
+    assert "Next: cosim run short.yaml --baseline idm" in done.stdout
+    assert "warm-up: 300/300" in done.stderr
+    names = {path.name for path in (short / "one").iterdir()}
+    assert {"steps.parquet", "groups.parquet", "events.parquet", "manifest.json", "episode.png"} <= names
+    groups = pd.read_parquet(short / "one/groups.parquet")
+    assert (groups["driver"] == "gri").sum() >= 4
+    report = cosim("report", "one", "--episode", "1", cwd=short)
+    assert report.returncode == 0, report.stderr
+    assert (short / "one/episode-1.png").is_file()
+
+
+def test_runs_repeat_byte_for_byte_across_processes(short):
+    for name, seed in (("a", "5"), ("b", "5"), ("c", "6")):
+        assert cosim("run", "short.yaml", "--seed", seed, "--out", name, cwd=short).returncode == 0
+    for table in ("steps", "groups", "events"):
+        a, b, c = ((short / name / f"{table}.parquet").read_bytes() for name in "abc")
+        assert a == b
+        assert a != c
+    hashes = [json.loads((short / name / "manifest.json").read_text())["results"] for name in "ab"]
+    assert hashes[0] == hashes[1]
+
+
+@pytest.mark.parametrize("baseline", ["sumo", "idm", "constant-velocity"])
+def test_baselines_drive_the_same_groups(short, baseline):
+    done = cosim("run", "short.yaml", "--baseline", baseline, "--out", baseline, cwd=short)
+    assert done.returncode == 0, done.stderr
+    groups = pd.read_parquet(short / baseline / "groups.parquet")
+    reference = pd.read_parquet(short / "one/groups.parquet")
+    ids = ["vehicle_0", "vehicle_1", "vehicle_2", "taken_at"]
+    pd.testing.assert_frame_equal(groups[ids].head(4), reference[ids].head(4))
+
+
+def test_unknown_scenario(tmp_path):
+    assert "did you mean 'us101_car_following'" in refused(tmp_path, "run", "us101_car_folowing")
+
+
+def test_bad_override(short):
+    assert "--episodes: Expected `int` >= 1" in refused(short, "run", "short.yaml", "--episodes", "0")
+
+
+def test_edge_that_the_net_does_not_have(short):
+    name = variant(short, "edge.yaml", road={"edges": ["upstream", "midstream"], "origin": "upstream", "length": 100})
+    assert "has no edge 'midstream'" in refused(short, "run", name)
+
+
+def test_net_that_crashes_sumo(short):
+    """Well-formed, but an edge without junctions: SUMO dies of it natively."""
+    (short / "crash.net.xml").write_text('<net><edge id="upstream"><lane id="upstream_0" index="0"/></edge></net>')
+    line = refused(short, "run", variant(short, "crash.yaml", net="crash.net.xml"))
+    assert "SUMO" in line
+
+
+def test_truncated_checkpoint(short):
+    whole = checkpoint("us101_car_following").read_bytes()
+    (short / "cut.pt").write_bytes(whole[: len(whole) // 2])
+    name = variant(short, "cutck.yaml", policy={"kind": "gri", "checkpoint": "cut.pt"})
+    assert "damaged or cut short" in refused(short, "run", name)
+
+
+def test_demand_on_a_missing_edge_carries_sumos_message(short):
+    content = yaml.safe_load((short / "short.yaml").read_text())
+    content["traffic"]["flows"][0]["edges"] = ["upstream", "nowhere"]
+    line = refused(short, "run", variant(short, "flow.yaml", traffic=content["traffic"]))
+    assert "nowhere" in line
+
+
+def test_group_that_never_occurs(short):
+    rule = {"rule": "car_following", "min_gap": 40, "max_gap": 40.1, "max_time_gap": 0.1}
+    assert "no group fits the rule" in refused(short, "run", variant(short, "rare.yaml", group=rule, time_limit=20))
+
+
+def test_existing_folder_is_not_overwritten(short):
+    (short / "kept").mkdir(exist_ok=True)
+    assert "exists already" in refused(short, "run", "short.yaml", "--out", "kept")
+
+
+def test_report_of_something_else(tmp_path):
+    assert "expected a run folder" in refused(tmp_path, "report", ".")
+
+
+def test_ctrl_c_leaves_nothing_behind(short):
+    command = [sys.executable, "-m", "cosim", "run", "us101_car_following", "--out", "stopped"]
+    process = subprocess.Popen(command, cwd=short, stderr=subprocess.PIPE, text=True, start_new_session=True)
+    assert process.stderr is not None
+    told = next((line for line in process.stderr if "warm-up" in line), None)
+    assert told, "the run ended before its warm-up"
+    time.sleep(0.5)
+    os.killpg(process.pid, signal.SIGINT)
+    _, errors = process.communicate(timeout=20)
+    assert process.returncode == 130
+    assert "Traceback" not in errors
+    assert not list(short.glob("stopped*"))
+
+
+def test_help_names_every_command(tmp_path):
+    text = cosim("--help", cwd=tmp_path).stdout
+    assert all(command in text for command in ("run", "report", "list", "schema"))
+
+
+def test_list_names_what_is_shipped(tmp_path):
+    assert "us101_car_following" in cosim("list", cwd=tmp_path).stdout
