@@ -10,6 +10,9 @@ normaliser Gaussian (Levine and Koltun, "Continuous inverse optimal control with
 
 R is a weighted sum of features, so g and H are computed once per feature and then combined for any weights
 and graph. The curvature of the dynamics is left out of H; the 1-D point mass has none.
+
+Holding the others at the record means that the vehicle foresees what they will do. Drivers do not, so long
+scenes are cut into overlapping windows, each with a likelihood of its own.
 """
 
 from collections.abc import Callable
@@ -23,22 +26,22 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.func import jacrev, vmap
 
-from gri.graph import pairs
+from gri.graph import EdgeType, agents_of, pairs
 from gri.model import RelationalModel
+from gri.neural import edge_ends
 from gri.rewards import StructuredReward
 
 
 @dataclass(frozen=True)
 class Expansion:
-    """Derivatives of every feature, summed over time, with respect to each driven vehicle's own n action
-    values.
+    """Derivatives of every feature, summed over a window, by each driven vehicle's own n action values.
 
-    M counts the features: those of the vehicle alone, then for every sender in index order those of every
-    type.
+    W counts the windows of a scene, M the features: those of the vehicle alone, then for every sender in
+    index order those of every type.
     """
 
-    gradient: Float[Tensor, "B R M n"]
-    hessian: Float[Tensor, "B R M n n"]
+    gradient: Float[Tensor, "B W R M n"]
+    hessian: Float[Tensor, "B W R M n n"]
 
     def __getitem__(self, scenes: Tensor | slice) -> "Expansion":
         return Expansion(self.gradient[scenes], self.hessian[scenes])
@@ -53,10 +56,22 @@ def expand(
     reward: StructuredReward,
     state: Float[Tensor, "B N T D"],
     action: Float[Tensor, "B R T-1 A"],
+    horizon: int = 19,
+    stride: int = 10,
 ) -> Expansion:
-    """Second-order expansion of the features around recorded trajectories; `model` lends its dynamics."""
-    vehicles = [_expand_vehicle(model, reward, state, action[:, j], j) for j in range(action.shape[1])]
-    return Expansion(torch.stack([g for g, _ in vehicles], 1), torch.stack([h for _, h in vehicles], 1))
+    """Second-order expansion of the features around recorded trajectories; `model` lends its dynamics.
+
+    A window is `horizon` actions long, or the whole scene where that is shorter; the next begins `stride`
+    later.
+    """
+    length = min(horizon, action.shape[2])
+    starts = range(0, action.shape[2] - length + 1, stride)
+    states = torch.cat([state[:, :, s : s + length + 1] for s in starts])
+    actions = torch.cat([action[:, :, s : s + length] for s in starts])
+    vehicles = [_expand_vehicle(model, reward, states, actions[:, j], j) for j in range(action.shape[1])]
+    gradient, hessian = (torch.stack(parts, 1) for parts in zip(*vehicles, strict=True))
+    count = (len(starts), len(state))
+    return Expansion(gradient.unflatten(0, count).transpose(0, 1), hessian.unflatten(0, count).transpose(0, 1))
 
 
 def _expand_vehicle(
@@ -119,28 +134,23 @@ def log_likelihood(reward: StructuredReward, expansion: Expansion) -> Float[Tens
     """log p(u_j | z_j) of each driven vehicle under every combination of its incoming edges.
 
     Differentiable in the weights and the rationality α that multiplies the reward. Where −H is not positive
-    definite it is damped by max(0, 0.05·α − λ_min).
+    definite it is damped by max(0, 0.05·α − λ_min). Windows count as independent.
     """
     edges = torch.cat([reward.weights(k) for k in reward.terms.edge])
-    features = expansion.gradient.shape[2]
+    features = expansion.gradient.shape[3]
     senders = (features - len(reward.weights("node"))) // len(edges)
     weights = torch.cat([reward.weights("node"), *[edges] * senders])
     alpha = reward.log_alpha.exp()
     combined = alpha * weights * combinations(reward, senders)[0]  # Shape: (C, M)
-    gradient = torch.einsum("cm,brmn->brcn", combined, expansion.gradient)
-    precision = torch.einsum("cm,brmkn->brckn", combined, expansion.hessian)
+    gradient = torch.einsum("cm,bwrmn->bwrcn", combined, expansion.gradient)
+    precision = torch.einsum("cm,bwrmkn->bwrckn", combined, expansion.hessian)
     lowest = torch.linalg.eigvalsh(precision.detach())[..., 0]
     damping = (0.05 * alpha.detach() - lowest).clamp(min=0)
     n = gradient.shape[-1]
     factor = torch.linalg.cholesky(precision + damping[..., None, None] * torch.eye(n))
     whitened = torch.linalg.solve_triangular(factor, gradient[..., None], upper=False)[..., 0]
     log_det = 2 * factor.diagonal(dim1=-2, dim2=-1).log().sum(-1)
-    return -0.5 * (whitened**2).sum(-1) + 0.5 * log_det - 0.5 * n * log(2 * pi)
-
-
-def log_prior(reward: StructuredReward, senders: int, none: float) -> Float[Tensor, " C"]:
-    """log p(z_j) of every combination: probability `none` for type 0, the rest shared evenly."""
-    return (combinations(reward, senders)[1] @ edge_prior(len(reward.vocabulary), none).log()).sum(-1)
+    return (-0.5 * (whitened**2).sum(-1) + 0.5 * log_det - 0.5 * n * log(2 * pi)).sum(1)
 
 
 def edge_prior(edge_types: int, none: float) -> Float[Tensor, " K"]:
@@ -148,15 +158,39 @@ def edge_prior(edge_types: int, none: float) -> Float[Tensor, " K"]:
     return torch.tensor([none] + [(1 - none) / (edge_types - 1)] * (edge_types - 1))
 
 
+def scene_prior(
+    reward: StructuredReward, state: Float[Tensor, "B N T D"], none: float, ahead_only: bool = False
+) -> Float[Tensor, "B E K"]:
+    """p(z_ij) in every scene: the sparse prior; `ahead_only`: nobody follows a vehicle that ends up behind
+    it.
+    """
+    n = state.shape[1]
+    prior = edge_prior(len(reward.vocabulary), none).repeat(len(state), n * (n - 1), 1)
+    if ahead_only:
+        senders, receivers = edge_ends(n)
+        behind = state[:, senders, -1, 0] < state[:, receivers, -1, 0]
+        k = reward.vocabulary.index(EdgeType.FOLLOW)
+        prior[..., k] = prior[..., k].masked_fill(behind, 1e-12)
+    return prior / prior.sum(-1, keepdim=True)
+
+
+def combination_prior(reward: StructuredReward, prior: Float[Tensor, "B E K"], driven: int) -> Float[Tensor, "B R C"]:
+    """log p(z_j) of every combination of the edges that enter each driven vehicle."""
+    n = agents_of(prior.shape[1])
+    incoming = torch.tensor([[pairs(n).index((i, j)) for i in range(n) if i != j] for j in range(driven)])
+    return torch.einsum("brsk,csk->brc", prior[:, incoming].log(), combinations(reward, n - 1)[1])
+
+
 def edge_posterior(
-    reward: StructuredReward, expansion: Expansion, vehicles: int, none: float
+    reward: StructuredReward, expansion: Expansion, prior: Float[Tensor, "B E K"]
 ) -> Float[Tensor, "B E K"]:
     """p(z_ij | u) of every ordered pair; edges into vehicles that are not driven keep the prior."""
-    scores = log_likelihood(reward, expansion) + log_prior(reward, vehicles - 1, none)
-    marginal = torch.einsum("brc,csk->brsk", scores.softmax(-1), combinations(reward, vehicles - 1)[1])
-    scenes, driven = scores.shape[:2]
-    posterior = edge_prior(len(reward.vocabulary), none).repeat(scenes, vehicles * (vehicles - 1), 1)
-    for edge, (i, j) in enumerate(pairs(vehicles)):
+    likelihood = log_likelihood(reward, expansion)
+    driven, n = likelihood.shape[1], agents_of(prior.shape[1])
+    scores = likelihood + combination_prior(reward, prior, driven)
+    marginal = torch.einsum("brc,csk->brsk", scores.softmax(-1), combinations(reward, n - 1)[1])
+    posterior = prior.clone()
+    for edge, (i, j) in enumerate(pairs(n)):
         if j < driven:
             posterior[:, edge] = marginal[:, j, i if i < j else i - 1]
     return posterior

@@ -82,9 +82,9 @@ US101 = SceneRange(
     leader=LeaderConfig(phases=True),
     reward=RewardConfig(
         constants=FollowingConstants(
-            standstill=7.0, time_headway=1.35, comfort=2.0, minimum=7.0, zeta=5.0, speed_limit=29.0
+            standstill=7.0, time_headway=1.42, comfort=2.0, minimum=7.0, zeta=5.0, speed_limit=29.0
         ),
-        units=Units(gap=5.0, collision=0.2, speed=8.0, acceleration=1.0, jerk=1.0),
+        units=Units(gap=5.0, collision=0.2, speed=6.5, acceleration=1.0, jerk=1.0),
         temperature=0.5,
     ),
     weights={

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from gri.data.synthetic import Scenes, returns
 from gri.graph import pairs
-from gri.laplace import Expansion, edge_posterior, expand, log_likelihood, log_prior
+from gri.laplace import Expansion, combination_prior, edge_posterior, expand, log_likelihood, scene_prior
 from gri.model import RelationalModel
 from gri.objectives.common import Descent, batches, reconstruction_loss
 from gri.progress import Progress, silent
@@ -49,6 +49,11 @@ class GroundedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     """Sizes and rates of the three stages."""
 
     no_edge_prior: float = 0.9
+    ahead_only: bool = False
+    """Nobody follows a vehicle that ends up behind it; else only the reward says so."""
+    horizon: int = 19
+    """Actions that a driver is taken to foresee when the likelihood of graphs is computed."""
+    stride: int = 10
     reward_updates: int = 100
     reward_rate: float = 0.05
     reward_batch: int = 16
@@ -74,7 +79,7 @@ def train_grounded(
     """Train the model and the reward in place."""
     generator = torch.Generator().manual_seed(seed)
     fit_reward(model, reward, scenes, settings, generator, progress)
-    posterior = scene_posterior(model, reward, scenes, settings.no_edge_prior, progress)
+    posterior = scene_posterior(model, reward, scenes, settings, progress)
     fit_encoder_and_policy(model, reward, scenes, posterior, settings, generator, progress)
 
 
@@ -88,25 +93,29 @@ def fit_reward(
 ) -> None:
     """Maximise Σ_j log Σ_z p(z_j)·p(u_j | z_j) over the reward's weights and α."""
     chosen = torch.randperm(len(scenes), generator=generator)[: settings.reward_scenes]
-    expansion = _expand(model, reward, scenes[chosen])
-    prior = log_prior(reward, scenes.state.shape[1] - 1, settings.no_edge_prior)
+    expansion = _expand(model, reward, scenes[chosen], settings)
+    prior = combination_prior(reward, _prior(reward, scenes[chosen], settings), scenes.action.shape[1])
     descent = Descent(reward.parameters(), settings.reward_rate, settings.reward_updates)
     total = settings.reward_updates
     for update, batch in enumerate(batches(len(chosen), settings.reward_batch, total, generator)):
-        evidence = torch.logsumexp(log_likelihood(reward, expansion[batch]) + prior, -1).mean()
+        evidence = torch.logsumexp(log_likelihood(reward, expansion[batch]) + prior[batch], -1).mean()
         descent.step(-evidence)
         progress("reward", update + 1, total, float(evidence.detach()))
 
 
 @torch.no_grad()
 def scene_posterior(
-    model: RelationalModel, reward: StructuredReward, scenes: Scenes, none: float, progress: Progress = silent
+    model: RelationalModel,
+    reward: StructuredReward,
+    scenes: Scenes,
+    settings: GroundedSettings,
+    progress: Progress = silent,
 ) -> Float[Tensor, "S E K"]:
     """p(z_ij | u) of every scene under the reward as it stands."""
     parts = []
     for start in range(0, len(scenes), _CHUNK):
-        expansion = _expand(model, reward, scenes[start : start + _CHUNK])
-        parts.append(edge_posterior(reward, expansion, scenes.state.shape[1], none))
+        part = scenes[start : start + _CHUNK]
+        parts.append(edge_posterior(reward, _expand(model, reward, part, settings), _prior(reward, part, settings)))
         progress("graph", min(start + _CHUNK, len(scenes)), len(scenes), 0.0)
     return torch.cat(parts)
 
@@ -115,9 +124,14 @@ _CHUNK = 64  # scenes whose Hessians are held at once
 
 
 @torch.no_grad()
-def _expand(model: RelationalModel, reward: StructuredReward, scenes: Scenes) -> Expansion:
+def _expand(model: RelationalModel, reward: StructuredReward, scenes: Scenes, settings: GroundedSettings) -> Expansion:
     parts = [scenes[start : start + _CHUNK] for start in range(0, len(scenes), _CHUNK)]
-    return Expansion.concatenate([expand(model, reward, part.state, part.action) for part in parts])
+    horizon, stride = settings.horizon, settings.stride
+    return Expansion.concatenate([expand(model, reward, p.state, p.action, horizon, stride) for p in parts])
+
+
+def _prior(reward: StructuredReward, scenes: Scenes, settings: GroundedSettings) -> Float[Tensor, "B E K"]:
+    return scene_prior(reward, scenes.state, settings.no_edge_prior, settings.ahead_only)
 
 
 def fit_encoder_and_policy(

@@ -5,7 +5,15 @@ import torch
 from torch import Tensor
 
 from gri.graph import FOLLOWING, EdgeType, InteractionGraph, pairs
-from gri.laplace import combinations, edge_posterior, edge_prior, expand, log_likelihood, sensitivities
+from gri.laplace import (
+    combinations,
+    edge_posterior,
+    edge_prior,
+    expand,
+    log_likelihood,
+    scene_prior,
+    sensitivities,
+)
 from gri.model import ModelConfig, RelationalModel
 from gri.rewards import RewardConfig, StructuredReward
 
@@ -59,8 +67,8 @@ def test_expansion_equals_automatic_differentiation(model: RelationalModel, gene
     wanted = torch.stack([graph.one_hot[0, pairs(3).index((i, j))] for i in senders])
     mask = masks[(types == wanted).all(-1).all(-1)][0]
     weights = mask * torch.cat([reward.weights("node"), *[reward.weights("follow")] * 2])
-    torch.testing.assert_close(-weights @ expansion.gradient[0, j], gradient, atol=1e-4, rtol=1e-4)
-    combined = -torch.einsum("m,mkn->kn", weights, expansion.hessian[0, j])
+    torch.testing.assert_close(-weights @ expansion.gradient[0, 0, j], gradient, atol=1e-4, rtol=1e-4)
+    combined = -torch.einsum("m,mkn->kn", weights, expansion.hessian[0, 0, j])
     torch.testing.assert_close(combined, hessian, atol=1e-4, rtol=1e-4)
 
 
@@ -85,8 +93,8 @@ def test_likelihood_of_a_quadratic_reward_is_the_gaussian_density(model: Relatio
     reward = StructuredReward(REWARD)
     expansion = expand(model, reward, state, action)
     weights = reward.weights("node")
-    precision = torch.einsum("m,mkn->kn", weights, expansion.hessian[0, 0, :3]).double()
-    slope = -(weights @ expansion.gradient[0, 0, :3]).double()
+    precision = torch.einsum("m,mkn->kn", weights, expansion.hessian[0, 0, 0, :3]).double()
+    slope = -(weights @ expansion.gradient[0, 0, 0, :3]).double()
     deviation = -torch.linalg.solve(precision, slope)  # u − u*
     n = len(slope)
     density = -0.5 * deviation @ precision @ deviation + 0.5 * torch.logdet(precision) - 0.5 * n * log(2 * pi)
@@ -108,13 +116,16 @@ def test_posterior_tells_a_follower_from_a_free_driver(model: RelationalModel, g
     state[0, 0], state[0, 1] = torch.stack(own), torch.stack(free)
     action = model.dynamics.inverse(state[:, :2, :-1], state[:, :2, 1:], 0.2)
     reward = StructuredReward(RewardConfig(temperature=1.0))
-    posterior = edge_posterior(reward, expand(model, reward, state, action), 3, 0.9)[0, :, 1]
+    prior = scene_prior(reward, state, 0.9)
+    posterior = edge_posterior(reward, expand(model, reward, state, action), prior)[0, :, 1]
     assert posterior[pairs(3).index((2, 1))] < 0.5
 
 
 def test_edges_into_the_leader_keep_the_prior(model: RelationalModel, generator: torch.Generator):
     reward = StructuredReward(REWARD)
-    posterior = edge_posterior(reward, expand(model, reward, *scene(generator)), 3, 0.9)
+    state, action = scene(generator)
+    prior = scene_prior(reward, state, 0.9)
+    posterior = edge_posterior(reward, expand(model, reward, state, action), prior)
     for sender in (0, 1):
         torch.testing.assert_close(posterior[:, pairs(3).index((sender, 2))], edge_prior(2, 0.9).expand(2, -1))
     torch.testing.assert_close(posterior.sum(-1), torch.ones(2, 6))
@@ -125,3 +136,20 @@ def test_combinations_enumerate_all_incoming_edges():
     assert masks.shape == (4, 7)
     assert masks[0].tolist() == [1, 1, 1, 0, 0, 0, 0]
     assert types.argmax(-1).tolist() == [[0, 0], [0, 1], [1, 0], [1, 1]]
+
+
+def test_with_ahead_only_nobody_follows_a_vehicle_behind(generator: torch.Generator):
+    state, _ = scene(generator)
+    prior = scene_prior(StructuredReward(REWARD), state, 0.9, ahead_only=True)
+    for edge, (i, j) in enumerate(pairs(3)):
+        expected = 0.1 if i > j else 0.0
+        torch.testing.assert_close(prior[:, edge, 1], torch.full((2,), expected), atol=1e-6, rtol=0)
+
+
+def test_windows_count_as_scenes_of_their_own(model: RelationalModel, generator: torch.Generator):
+    state, action = scene(generator, steps=13)
+    reward = StructuredReward(REWARD)
+    together = log_likelihood(reward, expand(model, reward, state, action, horizon=6, stride=6))
+    first = log_likelihood(reward, expand(model, reward, state[:, :, :7], action[:, :, :6]))
+    second = log_likelihood(reward, expand(model, reward, state[:, :, 6:], action[:, :, 6:]))
+    torch.testing.assert_close(together, first + second, atol=1e-3, rtol=1e-3)
