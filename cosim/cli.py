@@ -36,7 +36,6 @@ def run(
     out: Annotated[Path | None, typer.Option(help="Run folder to write; default: a new one in runs/.")] = None,
 ) -> None:
     """Take three-vehicle groups out of live traffic, drive them, hand them back."""
-    from cosim.job import run_job
     from cosim.loading import load_scenario, override
     from cosim.results import next_folder, run_folder
     from cosim.scenario import tag_of
@@ -48,7 +47,7 @@ def run(
     folder = out or next_folder(Path("runs"), f"{Path(scenario).stem}-{driver}-seed{chosen.seed}")
     began = time.monotonic()
     with run_folder(folder) as partial, _Progress() as progress:
-        run_in_worker(run_job, chosen, partial, log=partial / "sumo.log", tell=progress.tell)
+        run_in_worker("cosim.job:run_job", chosen, partial, log=partial / "sumo.log", tell=progress.tell)
     _show(folder)
     _say(f"\n{time.monotonic() - began:.0f} s. Tables, manifest and picture: {folder}")
     _next(f"cosim report {folder}" if baseline else f"cosim run {scenario} --baseline idm")

@@ -14,6 +14,7 @@ from cosim.groups import expected_graph
 from cosim.policies import checkpoint_path, policy_of
 from cosim.report import picture
 from cosim.scenario import Scenario, Trained, tag_of
+from cosim.sumo import SumoError
 from gri.errors import InputError
 from gri.resources import shipped
 
@@ -39,7 +40,10 @@ def run_job(scenario: Scenario, folder: Path, tell: Callable[..., None]) -> None
     net, policy = find_net(scenario.net), policy_of(scenario)
     with tempfile.TemporaryDirectory() as scratch:
         files = Files(net, Path(scratch, "routes.rou.xml"), folder / "sumo.log")
-        outcome = run(scenario, files, policy, tag_of(scenario.policy), tell)
+        try:
+            outcome = run(scenario, files, policy, tag_of(scenario.policy), tell)
+        except SumoError as error:
+            raise InputError(f"SUMO refused the scenario: {error}") from error
         routes = results.sha256(files.routes)
     if not outcome.episodes:
         raise InputError(

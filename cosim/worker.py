@@ -4,12 +4,12 @@ import os
 import signal
 import traceback
 from collections.abc import Callable
+from importlib import import_module
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
-from cosim.sumo import SumoError
 from gri.errors import InputError
 
 
@@ -17,11 +17,12 @@ class WorkerError(RuntimeError):
     """The worker failed or died; the message says how and where its log is."""
 
 
-def run_in_worker(target: Callable[..., Any], *arguments: Any, log: Path, tell: Callable[..., None]) -> Any:
+def run_in_worker(target: str, *arguments: Any, log: Path, tell: Callable[..., None]) -> Any:
     """Call `target(*arguments, tell)` in a spawned process and return its result.
 
-    What the process and SUMO print goes to `log`. What the target tells is passed on to `tell`. InputErrors come back
-    as they are, everything else as a WorkerError. The process ends with this call, however it ends.
+    The target is named ("module:function"), so that this process need not import torch and SUMO. What the worker and
+    SUMO print goes to `log`, what the target tells goes to `tell`. InputErrors come back as they are, everything else
+    as a WorkerError. The worker ends with this call, however it ends.
     """
     context = get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
@@ -54,7 +55,7 @@ def _death(exit_code: int | None, log: Path, told: bool) -> InputError | WorkerE
     cause = signal.Signals(-exit_code).name if exit_code and exit_code < 0 else f"exit code {exit_code}"
     if not told:
         return InputError(f"SUMO crashed ({cause}) while it read its input; the net or the routes are broken")
-    return WorkerError(f"the simulation crashed ({cause}); the last lines of {log}: {_tail(log)}")
+    return WorkerError(f"the simulation crashed ({cause}); its last words: {_tail(log)}")
 
 
 def _tail(log: Path) -> str:
@@ -62,18 +63,17 @@ def _tail(log: Path) -> str:
     return "; ".join(lines[-3:]) or "(empty)"
 
 
-def _work(target: Callable[..., Any], arguments: tuple[Any, ...], sender: Connection, log: Path) -> None:
+def _work(target: str, arguments: tuple[Any, ...], sender: Connection, log: Path) -> None:
     """The process: everything printed goes to the log, Ctrl-C is the parent's business."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     stream = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
     os.dup2(stream, 1)
     os.dup2(stream, 2)
     try:
-        value = target(*arguments, lambda *message: sender.send(("told", message)))
+        module, _, function = target.partition(":")
+        value = getattr(import_module(module), function)(*arguments, lambda *message: sender.send(("told", message)))
         sender.send(("done", value))
     except InputError as error:
         sender.send(("input", str(error)))
-    except SumoError as error:
-        sender.send(("input", f"SUMO: {error}"))
-    except BaseException:
-        sender.send(("failed", traceback.format_exc()))
+    except Exception as error:
+        sender.send(("failed", f"{type(error).__name__}: {error}\n{traceback.format_exc()}"))
