@@ -4,6 +4,7 @@ import json
 import sys
 import time
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated, Literal, NoReturn
 
 import msgspec
@@ -51,6 +52,26 @@ def run(
     _show(folder)
     _say(f"\n{time.monotonic() - began:.0f} s. Tables, manifest and picture: {folder}")
     _next(f"cosim report {folder}" if baseline else f"cosim run {scenario} --baseline idm")
+
+
+@app.command()
+def traffic(
+    scenario: Annotated[str, typer.Argument(help="Name of a shipped scenario, or path of a YAML file.")],
+    seed: Annotated[int | None, typer.Option(help="Replace the scenario's seed.")] = None,
+    duration: Annotated[float, typer.Option(min=1, help="Seconds to look at after the warm-up.")] = 600,
+) -> None:
+    """Simulate a scenario's traffic with nobody taken over, and tell how it flows."""
+    from cosim.loading import load_scenario, override
+    from cosim.worker import run_in_worker
+
+    chosen = override(load_scenario(scenario), {} if seed is None else {"seed": seed})
+    with TemporaryDirectory() as scratch, _Progress() as progress:
+        log = Path(scratch, "worker.log")
+        result = run_in_worker("cosim.job:survey_job", chosen, duration, log=log, tell=progress.tell)
+    from cosim.survey import table_of
+
+    _console.print(table_of(chosen, result))
+    _next(f"cosim run {scenario}")
 
 
 @app.command()

@@ -47,7 +47,7 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class _Road:
+class RunningRoad:
     """A running simulation and its road."""
 
     world: Sumo
@@ -73,7 +73,7 @@ def run(
     files.routes.write_text(route_file(scenario.traffic, scenario.seed, end))
     driven: list[Episode] = []
     left: list[Episode] = []
-    with _simulation(scenario, files) as road:
+    with simulation(scenario, files) as road:
         trunk = _Trunk(road, scenario)
         trunk.warm_up(tell)
         while (count := _counted(driven if policy else left)) < scenario.episodes and trunk.time < end:
@@ -106,7 +106,7 @@ def run(
 class _Trunk:
     """The undisturbed traffic: steps on, remembers what it saw go wrong, and which vehicles were taken already."""
 
-    def __init__(self, road: _Road, scenario: Scenario) -> None:
+    def __init__(self, road: RunningRoad, scenario: Scenario) -> None:
         self._road, self._scenario = road, scenario
         self._used: set[str] = set()
         self.steps, self.time, self.teleports, self.collisions = 0, 0.0, 0, 0
@@ -165,7 +165,7 @@ class _Trunk:
 def _replay(scenario: Scenario, files: Files, steps: int, task: Round, policy: Policy, driver: str) -> list[Episode]:
     """Drive a round that begins after so many steps, in a simulation of its own."""
     watched = scenario.steps(scenario.history)
-    with _simulation(scenario, files) as road:
+    with simulation(scenario, files) as road:
         for _ in range(steps - watched):
             road.world.step()
         history = []
@@ -176,7 +176,7 @@ def _replay(scenario: Scenario, files: Files, steps: int, task: Round, policy: P
 
 
 @contextmanager
-def _simulation(scenario: Scenario, files: Files) -> Iterator[_Road]:
+def simulation(scenario: Scenario, files: Files) -> Iterator[RunningRoad]:
     """Start SUMO, check the scenario against its net, and set the speed limits."""
     with sumo(arguments(scenario, str(files.net), str(files.routes), str(files.log)), files.log) as world:
         known = world.edges()
@@ -188,7 +188,7 @@ def _simulation(scenario: Scenario, files: Files) -> Iterator[_Road]:
                 raise InputError(f"{what}: the net {files.net} has no edge {missing[0]!r}")
         for edge, limit in scenario.traffic.speed_limits.items():
             world.limit_speed(edge, limit)
-        yield _Road(world, world.road(scenario.road.edges, scenario.road.origin))
+        yield RunningRoad(world, world.road(scenario.road.edges, scenario.road.origin))
 
 
 def _counted(episodes: Sequence[Episode]) -> int:

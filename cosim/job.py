@@ -15,6 +15,7 @@ from cosim.policies import checkpoint_path, policy_of
 from cosim.report import picture
 from cosim.scenario import Scenario, Trained, tag_of
 from cosim.sumo import SumoError
+from cosim.survey import Survey, survey
 from gri.errors import InputError
 from gri.resources import shipped
 
@@ -32,6 +33,14 @@ def find_net(name: str) -> Path:
     if root.tag != "net":
         raise InputError(f"{path}: got a <{root.tag}> file, expected a SUMO <net>; build one with netconvert")
     return path
+
+
+def survey_job(scenario: Scenario, duration: float, tell: Callable[..., None]) -> Survey:
+    """Survey the undisturbed traffic of a scenario."""
+    net = find_net(scenario.net)
+    with tempfile.TemporaryDirectory() as scratch:
+        files = Files(net, Path(scratch, "routes.rou.xml"), Path(scratch, "sumo.log"))
+        return survey(scenario, files, duration, tell)
 
 
 def run_job(scenario: Scenario, folder: Path, tell: Callable[..., None]) -> None:

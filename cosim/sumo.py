@@ -134,6 +134,14 @@ class Sumo:
         libsumo.vehicle.setSpeedMode(vehicle, speed_mode)
         libsumo.vehicle.setLaneChangeMode(vehicle, lane_change_mode)
 
+    def waiting(self) -> int:
+        """How many vehicles should have entered the net and could not yet."""
+        return len(libsumo.simulation.getPendingVehicles())
+
+    def lane_count(self, edge: str) -> int:
+        """Number of lanes of an edge."""
+        return int(libsumo.edge.getLaneNumber(edge))
+
     def limit_speed(self, edge: str, speed: float) -> None:
         """Lower (or raise) the speed limit [m/s] of all lanes of an edge, or of one lane given by its id."""
         if edge in libsumo.lane.getIDList():
