@@ -76,7 +76,13 @@ def evaluate_command(
 
 def _read(config: str) -> TrainConfig:
     path = Path(config)
-    return read_train_config(path if path.suffix else resources.shipped("scenarios", "train", f"{config}.yaml"))
+    if path.suffix:
+        return read_train_config(path)
+    shipped = resources.shipped("scenarios", "train")
+    names = sorted(file.stem for file in shipped.glob("*.yaml"))
+    if config not in names:
+        raise InputError(f"got {config}, wanted a YAML file or one of {', '.join(names)}")
+    return read_train_config(shipped / f"{config}.yaml")
 
 
 def _scenes(config: TrainConfig, folder: Path) -> Splits:

@@ -184,8 +184,18 @@ def combination_prior(reward: StructuredReward, prior: Float[Tensor, "B E K"], d
 def edge_posterior(
     reward: StructuredReward, expansion: Expansion, prior: Float[Tensor, "B E K"]
 ) -> Float[Tensor, "B E K"]:
-    """p(z_ij | u) of every ordered pair; edges into vehicles that are not driven keep the prior."""
-    likelihood = log_likelihood(reward, expansion)
+    """p(z_ij | u) of every ordered pair."""
+    return marginals(reward, log_likelihood(reward, expansion), prior)
+
+
+def marginals(
+    reward: StructuredReward, likelihood: Float[Tensor, "B R C"], prior: Float[Tensor, "B E K"]
+) -> Float[Tensor, "B E K"]:
+    """Posterior of each edge, given the log-likelihood of every combination of edges into each driven
+    vehicle.
+
+    Edges into vehicles that are not driven keep the prior.
+    """
     driven, n = likelihood.shape[1], agents_of(prior.shape[1])
     scores = likelihood + combination_prior(reward, prior, driven)
     marginal = torch.einsum("brc,csk->brsk", scores.softmax(-1), combinations(reward, n - 1)[1])

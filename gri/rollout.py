@@ -70,11 +70,18 @@ def log_prob_of(
     graph: Float[Tensor, "B E K"],
 ) -> Float[Tensor, "B R T-1"]:
     """log π(a|x, z) of recorded actions at the recorded states."""
-    driven = action.shape[1]
+    sigma = model.decoder.sigma
+    means = mean_actions(model, state, graph, driven=action.shape[1])
+    return log_density((action - means) / sigma, sigma)
+
+
+def mean_actions(
+    model: RelationalModel, state: Float[Tensor, "B N T D"], graph: Float[Tensor, "B E K"], driven: int
+) -> Float[Tensor, "B R T-1 A"]:
+    """μ(x_t, z) of the driven vehicles at the recorded states, the last one left out."""
     act, memory = model.decoder.bind(dense(graph)[:, :, :driven]), model.memory(state[:, :driven, 0])
     means = []
-    for t in range(action.shape[2]):
+    for t in range(state.shape[2] - 1):
         mean, memory = act(relative(state[:, :, t]), memory)
         means.append(mean)
-    sigma = model.decoder.sigma
-    return log_density((action - torch.stack(means, 2)) / sigma, sigma)
+    return torch.stack(means, 2)

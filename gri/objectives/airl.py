@@ -4,12 +4,13 @@
     D = e^f / (e^f + π),  subject to E KL[q(z|τ^E) || p(z)] ≤ I_c
 
 Three readings that the paper leaves open are fixed here:
+
 - D is a matter of each driven vehicle by itself, with logit f_j − log π_j.
-- The policy maximises f − log π under D's logit, as in AIRL, not the saturating −log(1 − D). Its standard
-deviation is held fixed here, so that log π of its own samples carries no gradient and E[f] is what remains. -
-The encoder gets its gradient through f alone, with policy and roll-outs held fixed: f is linear in the one-
-hot z, so that gradient is one number per edge and type, clipped. `contrast` leaves out the weights 1 − D(τ^E)
-and D(τ^G), which fall to zero exactly where the graph is wrong; `literal` keeps them.
+- The policy maximises f − log π, D's logit, as in AIRL, not the saturating −log(1 − D). Its standard deviation is held
+  fixed, so that log π of its own samples carries no gradient and E[f] is what remains.
+- The encoder gets its gradient through f alone, with policy and roll-outs held fixed: f is linear in the one-hot z, so
+  that gradient is one number per edge and type, clipped. `contrast` leaves out the weights 1 − D(τ^E) and D(τ^G),
+  which fall to zero exactly where the graph is wrong; `literal` keeps them.
 """
 
 from typing import Literal

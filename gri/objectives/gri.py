@@ -1,12 +1,15 @@
 """Grounded training without an adversary: reward, then graph, then policy.
 
-1. Reward: the weights of the structured reward and the drivers' rationality maximise the likelihood of the
-recorded actions, summed over all graphs under the sparse prior (`gri.laplace`). No label is used. 2. Graph:
-that likelihood gives every scene a posterior over its edges, which the encoder learns by cross-entropy. The
-encoder never sees the policy's errors, so that the policy cannot redefine what an edge means. 3. Policy: it
-reproduces the recorded scenes under graphs drawn from the encoder, and maximises the learned reward under
-random graphs and from shifted starts, so that an edge keeps its meaning away from the data.
+1. Reward: the weights of the structured reward and the drivers' rationality maximise the likelihood of the recorded
+   actions, summed over all graphs under the sparse prior (`gri.laplace`). No label is used.
+2. Graph: the likelihood of the actions, under the reward or under a policy planned on it, gives every scene a
+   posterior over its edges, which the encoder learns by cross-entropy. The encoder never sees how well the policy
+   reproduces a scene, so that the policy cannot redefine what an edge means.
+3. Policy: it reproduces the recorded scenes under graphs drawn from the encoder, and maximises the learned reward
+   under random graphs and from shifted starts, so that an edge keeps its meaning away from the data.
 """
+
+from typing import Literal
 
 import msgspec
 import torch
@@ -18,6 +21,7 @@ from gri.graph import pairs
 from gri.laplace import Expansion, combination_prior, edge_posterior, expand, log_likelihood, scene_prior
 from gri.model import RelationalModel
 from gri.objectives.common import Descent, batches, reconstruction_loss
+from gri.objectives.graphs import posterior_by_policy
 from gri.progress import Progress, silent
 from gri.rewards import StructuredReward
 from gri.rollout import rollout
@@ -54,6 +58,10 @@ class GroundedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     horizon: int = 19
     """Actions that a driver is taken to foresee when the likelihood of graphs is computed."""
     stride: int = 10
+    judge: Literal["reward", "policy"] = "reward"
+    """Whose likelihood tells graphs apart: the reward's own, or that of a policy first planned on it."""
+    planner_updates: int = 400
+    planner_batch: int = 128
     reward_updates: int = 100
     reward_rate: float = 0.05
     reward_batch: int = 16
@@ -79,7 +87,11 @@ def train_grounded(
     """Train the model and the reward in place."""
     generator = torch.Generator().manual_seed(seed)
     fit_reward(model, reward, scenes, settings, generator, progress)
-    posterior = scene_posterior(model, reward, scenes, settings, progress)
+    if settings.judge == "policy":
+        plan(model, reward, scenes, settings, generator, progress)
+        posterior = posterior_by_policy(model, reward, scenes, _prior(reward, scenes, settings))
+    else:
+        posterior = scene_posterior(model, reward, scenes, settings, progress)
     fit_encoder_and_policy(model, reward, scenes, posterior, settings, generator, progress)
 
 
@@ -134,6 +146,22 @@ def _prior(reward: StructuredReward, scenes: Scenes, settings: GroundedSettings)
     return scene_prior(reward, scenes.state, settings.no_edge_prior, settings.ahead_only)
 
 
+def plan(
+    model: RelationalModel,
+    reward: StructuredReward,
+    scenes: Scenes,
+    settings: GroundedSettings,
+    generator: torch.Generator,
+    progress: Progress = silent,
+) -> None:
+    """Let the policy maximise the learned reward under random graphs before it has seen how anyone drives."""
+    descent = Descent(model.decoder.parameters(), settings.policy_rate, settings.planner_updates, clip=1.0)
+    for update in range(settings.planner_updates):
+        value = grounded_return(model, reward, scenes, settings, settings.planner_batch, generator)
+        descent.step(-value)
+        progress("plan", update + 1, settings.planner_updates, float(value.detach()))
+
+
 def fit_encoder_and_policy(
     model: RelationalModel,
     reward: StructuredReward,
@@ -154,7 +182,7 @@ def fit_encoder_and_policy(
         to_encoder.step(-(posterior[chosen] * graph.logits.log_softmax(-1)).sum(-1).mean())
         driven = rollout(model, batch.start, graph.sample(generator).detach(), batch.leader)
         loss = reconstruction_loss(driven.state, batch.state, model.dynamics)
-        value = grounded_return(model, reward, scenes, settings, generator)
+        value = grounded_return(model, reward, scenes, settings, settings.return_batch, generator)
         to_policy.step(loss - settings.return_weight * value)
         progress("encoder and policy", update + 1, settings.updates, float(loss.detach()))
 
@@ -164,13 +192,13 @@ def grounded_return(
     reward: StructuredReward,
     scenes: Scenes,
     settings: GroundedSettings,
+    count: int,
     generator: torch.Generator,
 ) -> Float[Tensor, ""]:
-    """Mean learned reward per step under random graphs, half of the starts shifted; each vehicle for itself.
-    """
-    batch = scenes[torch.randint(0, len(scenes), (settings.return_batch,), generator=generator)]
+    """Mean learned reward per step under random graphs, half of the starts shifted; each vehicle for itself."""
+    batch = scenes[torch.randint(0, len(scenes), (count,), generator=generator)]
     start = shift(batch.start, settings.shifts, generator)
-    graph = random_graphs(settings.return_batch, start.shape[1], len(reward.vocabulary), generator)
+    graph = random_graphs(count, start.shape[1], len(reward.vocabulary), generator)
     driven = rollout(model, start, graph, batch.leader, selfish=True)
     return returns(reward, driven.state, driven.action, graph).mean()
 
