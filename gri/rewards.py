@@ -6,66 +6,19 @@ The "1 +" forces every term to be used and thereby fixes the units in which term
 divided by `unit²`, e.g. g_IDM by (5 m)², and the sum is multiplied by `temperature`. Type 0 pays nothing.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 
-import msgspec
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from gri import features
-from gri.features import FollowingConstants
-from gri.graph import FOLLOWING, EdgeType, Vocabulary, agents_of
+from gri.graph import EdgeType, agents_of
 from gri.neural import edge_ends, incidence, mlp
 from gri.scale import Scale
-
-NodeTerm = Callable[[Tensor, Tensor], Tensor]  # (state, action) of one vehicle
-EdgeTerm = Callable[[Tensor, Tensor], Tensor]  # states of sender and receiver
-
-
-@dataclass(frozen=True)
-class Terms:
-    """The named terms of a scenario: of a vehicle alone, and of each type of relation."""
-
-    node: Mapping[str, NodeTerm]
-    edge: Mapping[EdgeType, Mapping[str, EdgeTerm]]
-
-
-class Units(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A term's value at one unit counts 1 before its weight."""
-
-    gap: float = 1.0  # [m]
-    collision: float = 1.0  # [-]
-    speed: float = 1.0  # [m/s]
-    acceleration: float = 1.0  # [m/s^2]
-    jerk: float = 1.0  # [m/s^3]
-
-
-class RewardConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Constants, units and temperature of the car-following reward."""
-
-    constants: FollowingConstants = FollowingConstants()
-    units: Units = Units()
-    temperature: float = 1.0
-
-
-def car_following_terms(config: RewardConfig) -> Terms:
-    """r^n: speed limit, acceleration, jerk. r^{e,1}: g_IDM, g_dist (Sec. VI-C without the lateral terms)."""
-    constants, units = config.constants, config.units
-    return Terms(
-        node={
-            "speed": lambda state, action: features.f_speed(state, constants) / units.speed**2,
-            "acceleration": lambda state, action: features.f_acceleration(state) / units.acceleration**2,
-            "jerk": lambda state, action: features.f_jerk(action) / units.jerk**2,
-        },
-        edge={
-            EdgeType.FOLLOW: {
-                "idm": lambda sender, receiver: features.g_idm(sender, receiver, constants) / units.gap**2,
-                "dist": lambda sender, receiver: features.g_dist(sender, receiver, constants) / units.collision**2,
-            }
-        },
-    )
+from gri.terms import LaneRewardConfig as LaneRewardConfig
+from gri.terms import RewardConfig as RewardConfig
+from gri.terms import Units as Units
+from gri.terms import terms_of
 
 
 class StructuredReward(nn.Module):
@@ -73,16 +26,18 @@ class StructuredReward(nn.Module):
     alone.
     """
 
-    def __init__(self, config: RewardConfig, vocabulary: Vocabulary = FOLLOWING) -> None:
+    def __init__(self, config: RewardConfig | LaneRewardConfig) -> None:
         super().__init__()
-        self.config, self.vocabulary = config, vocabulary
-        self.terms = car_following_terms(config)
+        self.config = config
+        self.terms, self.vocabulary = terms_of(config)
         sizes = {"node": len(self.terms.node)} | {str(k): len(terms) for k, terms in self.terms.edge.items()}
         self.psi = nn.ParameterDict({name: nn.Parameter(torch.zeros(size)) for name, size in sizes.items()})
         self.log_alpha = nn.Parameter(torch.zeros(()))
 
     @classmethod
-    def with_weights(cls, config: RewardConfig, weights: Mapping[str, Mapping[str, float]]) -> "StructuredReward":
+    def with_weights(
+        cls, config: RewardConfig | LaneRewardConfig, weights: Mapping[str, Mapping[str, float]]
+    ) -> "StructuredReward":
         """The reward with given weights 1 + e^ψ, each above 1."""
         reward = cls(config)
         for group, values in weights.items():

@@ -1,0 +1,122 @@
+"""The named terms of each scenario's structured reward: which features it sums, and in which units."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import msgspec
+from torch import Tensor
+
+from gri import features
+from gri import lane_features as lane
+from gri.features import FollowingConstants
+from gri.graph import FOLLOWING, LANE_CHANGING, EdgeType, Vocabulary
+from gri.lane_features import LaneConstants
+
+NodeTerm = Callable[[Tensor, Tensor], Tensor]  # (state, action) of one vehicle
+EdgeTerm = Callable[[Tensor, Tensor], Tensor]  # states of sender and receiver
+
+
+@dataclass(frozen=True)
+class Terms:
+    """The named terms of a scenario: of a vehicle alone, and of each type of relation."""
+
+    node: Mapping[str, NodeTerm]
+    edge: Mapping[EdgeType, Mapping[str, EdgeTerm]]
+
+
+class Units(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A term's value at one unit counts 1 before its weight."""
+
+    gap: float = 1.0  # [m]
+    collision: float = 1.0  # [-]
+    speed: float = 1.0  # [m/s]
+    acceleration: float = 1.0  # [m/s^2]
+    jerk: float = 1.0  # [m/s^3]
+
+
+class RewardConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Constants, units and temperature of the car-following reward."""
+
+    constants: FollowingConstants = FollowingConstants()
+    units: Units = Units()
+    temperature: float = 1.0
+
+
+class LaneUnits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Units of the lateral terms."""
+
+    lateral: float = 1.0  # [m]
+    heading: float = 0.1  # [rad]
+    yaw_rate: float = 0.1  # [rad/s]
+    yaw_acceleration: float = 0.1  # [rad/s^2]
+    lane: float = 1.0  # [-]
+
+
+class LaneRewardConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Constants, units and temperature of the lane-changing reward."""
+
+    constants: LaneConstants = LaneConstants()
+    units: Units = Units()
+    lane_units: LaneUnits = LaneUnits()
+    temperature: float = 1.0
+
+
+def car_following_terms(config: RewardConfig) -> Terms:
+    """r^n: speed limit, acceleration, jerk. r^{e,1}: g_IDM, g_dist (Sec. VI-C without the lateral terms)."""
+    constants, units = config.constants, config.units
+    return Terms(
+        node={
+            "speed": lambda state, action: features.f_speed(state, constants) / units.speed**2,
+            "acceleration": lambda state, action: features.f_acceleration(state) / units.acceleration**2,
+            "jerk": lambda state, action: features.f_jerk(action) / units.jerk**2,
+        },
+        edge={
+            EdgeType.FOLLOW: {
+                "idm": lambda sender, receiver: features.g_idm(sender, receiver, constants) / units.gap**2,
+                "dist": lambda sender, receiver: features.g_dist(sender, receiver, constants) / units.collision**2,
+            }
+        },
+    )
+
+
+def lane_changing_terms(config: LaneRewardConfig) -> Terms:
+    """r^n: f_v, a², θ², ω², δa², δω², f_lane. Follow: g_IDM, g_dist, g_lat. Yield: g_yield, g_dist. Cut-in: both
+    with the arguments switched (Sec. VI-C).
+    """
+    c, units, lateral = config.constants, config.units, config.lane_units
+    gap, collision = units.gap**2, units.collision**2
+    return Terms(
+        node={
+            "speed": lambda state, action: lane.f_speed(state, c) / units.speed**2,
+            "acceleration": lambda state, action: (state[..., 4] / units.acceleration) ** 2,
+            "heading": lambda state, action: (state[..., 3] / lateral.heading) ** 2,
+            "yaw_rate": lambda state, action: (state[..., 5] / lateral.yaw_rate) ** 2,
+            "jerk": lambda state, action: (action[..., 0] / units.jerk) ** 2,
+            "yaw_acceleration": lambda state, action: (action[..., 1] / lateral.yaw_acceleration) ** 2,
+            "lane": lambda state, action: lane.f_lane(state, c) / lateral.lane**2,
+        },
+        edge={
+            EdgeType.FOLLOW: {
+                "idm": lambda sender, receiver: lane.g_idm(sender, receiver, c) / gap,
+                "dist": lambda sender, receiver: lane.g_dist(sender, receiver, c) / collision,
+                "lat": lambda sender, receiver: lane.g_lat(sender, receiver, c) / lateral.lateral**2,
+            },
+            EdgeType.YIELD: {
+                "yield": lambda sender, receiver: lane.g_yield(sender, receiver, c) / gap,
+                "dist": lambda sender, receiver: lane.g_dist(sender, receiver, c) / collision,
+            },
+            EdgeType.CUT_IN: {
+                "goal": lambda sender, receiver: lane.g_goal_cut_in(sender, receiver, c) / gap,
+                "dist": lambda sender, receiver: lane.g_dist_cut_in(sender, receiver, c) / collision,
+            },
+        },
+    )
+
+
+def terms_of(config: RewardConfig | LaneRewardConfig) -> tuple[Terms, Vocabulary]:
+    """The terms of a scenario and the edge types they give a meaning to."""
+    match config:
+        case RewardConfig():
+            return car_following_terms(config), FOLLOWING
+        case LaneRewardConfig():
+            return lane_changing_terms(config), LANE_CHANGING
