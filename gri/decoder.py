@@ -49,9 +49,7 @@ def dense(edges: Float[Tensor, "B E K"]) -> DenseGraph:
 
 
 class Decoder(nn.Module):
-    """Gaussian policy: mean action of every driven vehicle, and a standard deviation that is the same
-    everywhere.
-    """
+    """Gaussian policy: mean action of every driven vehicle, and a standard deviation that is the same everywhere."""
 
     offset: Tensor
     unit: Tensor

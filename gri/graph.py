@@ -58,9 +58,7 @@ class InteractionGraph:
     def of_edges(
         cls, edges: Mapping[tuple[int, int], EdgeType], vocabulary: Vocabulary, n: int = 3, batch: int = 1
     ) -> "InteractionGraph":
-        """The certain graph in which the named pairs (sender, receiver) have the named type and all others
-        none.
-        """
+        """The certain graph in which the named pairs (sender, receiver) have the named type and all others none."""
         types = [vocabulary.index(edges.get(pair, EdgeType.NONE)) for pair in pairs(n)]
         return cls.certain(torch.tensor([types] * batch), vocabulary)
 

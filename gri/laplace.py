@@ -161,9 +161,7 @@ def edge_prior(edge_types: int, none: float) -> Float[Tensor, " K"]:
 def scene_prior(
     reward: StructuredReward, state: Float[Tensor, "B N T D"], none: float, ahead_only: bool = False
 ) -> Float[Tensor, "B E K"]:
-    """p(z_ij) in every scene: the sparse prior; `ahead_only`: nobody follows a vehicle that ends up behind
-    it.
-    """
+    """p(z_ij) in every scene: the sparse prior; `ahead_only`: nobody follows a vehicle that ends up behind it."""
     n = state.shape[1]
     prior = edge_prior(len(reward.vocabulary), none).repeat(len(state), n * (n - 1), 1)
     if ahead_only:
@@ -191,8 +189,7 @@ def edge_posterior(
 def marginals(
     reward: StructuredReward, likelihood: Float[Tensor, "B R C"], prior: Float[Tensor, "B E K"]
 ) -> Float[Tensor, "B E K"]:
-    """Posterior of each edge, given the log-likelihood of every combination of edges into each driven
-    vehicle.
+    """Posterior of each edge from the log-likelihoods of all combinations of edges into each driven vehicle.
 
     Edges into vehicles that are not driven keep the prior.
     """

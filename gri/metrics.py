@@ -50,8 +50,7 @@ def accuracy(inferred: Int[Tensor, "S E"], true: Int[Tensor, "S E"]) -> Float[Te
 
 
 def driven_accuracy(inferred: Int[Tensor, "S E"], true: Int[Tensor, "S E"]) -> Float[Tensor, " S"]:
-    """Share of right edges among those that enter driven vehicles; no data speaks of edges into the leader.
-    """
+    """Share of right edges among those that enter driven vehicles; no data speaks of edges into the leader."""
     n = agents_of(true.shape[1])
     counted = [edge for edge, (_, receiver) in enumerate(pairs(n)) if receiver < n - 1]
     return accuracy(inferred[:, counted], true[:, counted])

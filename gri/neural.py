@@ -11,9 +11,7 @@ from gri.graph import pairs
 
 
 def mlp(sizes: Sequence[int], last_scale: float = 1.0) -> nn.Sequential:
-    """Fully connected layers with SiLU between them; the last layer is linear, its start scaled by
-    `last_scale`.
-    """
+    """Fully connected layers with SiLU between them; the last layer is linear, its start scaled by `last_scale`."""
     layers: list[nn.Module] = []
     for inputs, outputs in pairwise(sizes):
         layers += [nn.Linear(inputs, outputs), nn.SiLU()]

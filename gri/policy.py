@@ -20,8 +20,7 @@ from gri.types import Trajectory
 
 @dataclass(frozen=True)
 class PolicyState:
-    """What a policy remembers of B groups: the graph it believes in (None: it has no notion of one) and a
-    memory.
+    """What a policy remembers of B groups: the graph it believes in and a memory; None: it has no notion of graphs.
 
     `memory` is whatever recurrent state the policy keeps, H = 0 where it keeps none.
     """

@@ -18,9 +18,7 @@ from gri.types import Trajectory
 
 @dataclass(frozen=True)
 class Rollout:
-    """What a policy did: T states of all vehicles and the T−1 actions of the R = N−1 driven ones between
-    them.
-    """
+    """What a policy did: T states of all vehicles and the T−1 actions of the R = N−1 driven ones between them."""
 
     state: Float[Tensor, "B N T D"]
     action: Float[Tensor, "B R T-1 A"]

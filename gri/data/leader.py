@@ -11,8 +11,8 @@ from gri.dynamics import POINT_MASS_1D, stop_at_standstill
 class LeaderConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Phases of constant acceleration, the first one included; no phases: constant speed.
 
-    Every phase draws its length and one of three moods: accelerate, brake, brake hard (`hard_share` of the
-    brakings) or hold the speed. A leader that has stopped stands until the phase is over. `jitter` adds an
+    Every phase draws its length and one of three moods: accelerate, brake (hard in `hard_share` of the
+    cases) or hold the speed. A leader that has stopped stands until the phase is over. `jitter` adds an
     independent acceleration at every step, of a strength drawn per scene, as Krauss drivers in SUMO show it.
     """
 
@@ -70,8 +70,7 @@ def _accelerations(
 
 
 def _moods(config: LeaderConfig, dice: Float[Tensor, "B P"], generator: torch.Generator) -> Float[Tensor, "B P"]:
-    """Three in ten phases accelerate, four brake (fewer would let all speeds drift to the limit), three hold.
-    """
+    """Four in ten phases accelerate, three brake, three hold: brakings are harder, so both weigh the same."""
     shape = dice.shape
     brake = torch.where(
         torch.rand(shape, generator=generator) < config.hard_share,

@@ -21,8 +21,7 @@ def posterior_by_policy(
     scenes: Scenes,
     prior: Float[Tensor, "S E K"],
 ) -> Float[Tensor, "S E K"]:
-    """p(z_ij | u) ∝ p(z)·Π_t N(u_t; μ(x_t, z), σ²), with a policy that maximises the reward under every
-    graph.
+    """p(z | u) ∝ p(z)·Π_t N(u_t; μ(x_t, z), σ²), with a policy that maximises the reward under every graph.
 
     A policy knows the present only, as a driver does, whereas Laplace's approximation has the vehicle foresee
     what the others will do. σ² is the mean squared deviation under the graph that fits best, per vehicle.
@@ -33,7 +32,7 @@ def posterior_by_policy(
     return marginals(reward, -0.5 * squared.sum(-1) / variance, prior)
 
 
-def _deviations(model: RelationalModel, reward: StructuredReward, scenes: Scenes) -> Float[Tensor, "S R C T-1"]:
+def _deviations(model: RelationalModel, reward: StructuredReward, scenes: Scenes) -> Float[Tensor, "S R C U"]:
     """Scaled distance of recorded from mean actions, under every combination of the edges into each vehicle."""
     n = scenes.state.shape[1]
     unit = model.decoder.action_unit

@@ -40,9 +40,7 @@ class Augmentation(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
 
 class Shifts(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How starts are shifted, half of them, before the policy maximises the reward from there; uniform
-    ranges.
-    """
+    """How starts are shifted, half of them, before the policy maximises the reward from there; uniform ranges."""
 
     position: tuple[float, float] = (0.0, 12.0)  # [m]
     speed: tuple[float, float] = (0.0, 0.0)  # [m/s]
