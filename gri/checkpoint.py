@@ -118,9 +118,7 @@ def _decoded(text: str, kind: type, path: Path | str) -> Any:
 
 
 def _check_layout(content: dict[str, Any], model: RelationalModel, path: Path | str) -> None:
-    """The file states its layout beside the configuration; the two must agree with what this release means by
-    it.
-    """
+    """The file states its layout beside the configuration; the two must agree with what this release means by it."""
     wanted = {
         "dt": model.config.dt,
         "history_steps": model.config.history_steps,
