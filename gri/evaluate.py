@@ -51,8 +51,8 @@ def evaluate(model: RelationalModel, scenes: Scenes) -> Evaluation:
 
 
 def believed(model: RelationalModel, scenes: Scenes) -> InteractionGraph:
-    """The graph a model drives by: inferred, or the true one where it has no encoder (Supervised)."""
-    if model.encoder is None:
+    """The graph a model drives by: inferred, or the true one where it is told (Supervised)."""
+    if model.encoder is None and model.config.told_graph:
         return InteractionGraph.certain(scenes.graph, model.config.vocabulary)
     return model.infer(scenes.state[:, :, : model.history_steps])
 

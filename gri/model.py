@@ -47,12 +47,12 @@ class ModelConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     encoder: EncoderConfig | None = EncoderConfig()
     """Without an encoder the model believes in `graph`, whatever it sees."""
     graph: tuple[Edge, ...] = CHAIN
+    told_graph: bool = True
+    """Without an encoder, evaluation tells the model each scene's true graph (Supervised); else it keeps `graph`."""
 
 
 class RelationalModel(nn.Module):
-    """A `gri.policy.Policy` that acts by the graph in its `PolicyState`; replace that graph to overrule its
-    belief.
-    """
+    """A `gri.policy.Policy` that acts by the graph in its `PolicyState`; replace that graph to overrule its belief."""
 
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()
@@ -111,7 +111,5 @@ class RelationalModel(nn.Module):
 
 
 def relative(state: Float[Tensor, "B N D"]) -> Float[Tensor, "B N D"]:
-    """Positions counted from the last vehicle: the decoder needs differences only, and float32 keeps its
-    digits.
-    """
+    """Positions counted from the last vehicle: the decoder needs differences only, and float32 keeps its digits."""
     return torch.cat([state[..., :1] - state[:, -1:, :1], state[..., 1:]], -1)

@@ -13,6 +13,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from gri.graph import EdgeType, agents_of
+from gri.network_reward import NetworkReward
 from gri.neural import edge_ends, incidence, mlp
 from gri.scale import Scale
 from gri.terms import LaneRewardConfig as LaneRewardConfig
@@ -106,7 +107,7 @@ class ShapedReward(nn.Module):
     offset: Tensor
     unit: Tensor
 
-    def __init__(self, reward: StructuredReward, scale: Scale, hidden: int = 32) -> None:
+    def __init__(self, reward: StructuredReward | NetworkReward, scale: Scale, hidden: int = 32) -> None:
         super().__init__()
         self.reward = reward
         features = len(scale.unit)

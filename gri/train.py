@@ -15,14 +15,17 @@ from gri.decoder import DecoderConfig
 from gri.encoder import EncoderConfig
 from gri.errors import InputError
 from gri.evaluate import evaluate
-from gri.model import ModelConfig, RelationalModel
+from gri.graph import EdgeType, pairs
+from gri.model import CHAIN, Edge, ModelConfig, RelationalModel
+from gri.network_reward import NetworkReward
 from gri.objectives.airl import AdversarialSettings, train_adversarial
 from gri.objectives.gri import GroundedSettings, train_grounded
+from gri.objectives.nri import NriSettings, train_nri
 from gri.objectives.supervised import SupervisedSettings, train_supervised
 from gri.progress import Progress, silent
 from gri.rewards import ShapedReward, StructuredReward
 
-Objective = GroundedSettings | AdversarialSettings | SupervisedSettings
+Objective = GroundedSettings | AdversarialSettings | NriSettings | SupervisedSettings
 
 
 class TrainConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -33,7 +36,7 @@ class TrainConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     objective: Objective
     decoder: DecoderConfig = DecoderConfig()
     encoder: EncoderConfig = EncoderConfig()
-    """Not used by the Supervised objective, which is told the graph."""
+    """Not used by objectives that infer no graph."""
 
 
 @dataclass(frozen=True)
@@ -57,14 +60,23 @@ def read_train_config(path: Path | str) -> TrainConfig:
 def model_config(config: TrainConfig) -> ModelConfig:
     """The model that goes with the scenes of a configuration."""
     scenes = config.data.scene_range
+    told = isinstance(config.objective, SupervisedSettings)
+    all_alike = isinstance(config.objective, AdversarialSettings) and config.objective.relations == "all_alike"
     return ModelConfig(
         dt=scenes.dt,
         history_steps=scenes.history_steps,
         never_reverse=scenes.never_reverse,
         scale=scenes.scale,
         decoder=config.decoder,
-        encoder=None if isinstance(config.objective, SupervisedSettings) else config.encoder,
+        encoder=None if told or all_alike else config.encoder,
+        graph=_all_alike(3) if all_alike else CHAIN,
+        told_graph=told,
     )
+
+
+def _all_alike(vehicles: int) -> tuple[Edge, ...]:
+    """Every pair related in the same way; the type's name means nothing."""
+    return tuple(Edge(sender=i, receiver=j, type=EdgeType.FOLLOW) for i, j in pairs(vehicles))
 
 
 def train(config: TrainConfig, splits: Splits, seed: int, progress: Progress = silent) -> Trained:
@@ -80,10 +92,14 @@ def train(config: TrainConfig, splits: Splits, seed: int, progress: Progress = s
         case GroundedSettings() as settings:
             reward = StructuredReward(scenes.reward)
             train_grounded(model, reward, splits.train, settings, seed, progress)
+        case NriSettings() as settings:
+            train_nri(model, splits.train, settings, seed, progress)
+        case AdversarialSettings(rewards="networks") as settings:
+            networks = NetworkReward(scenes.scale, model.config.vocabulary)
+            train_adversarial(model, ShapedReward(networks, scenes.scale), splits.train, settings, seed, progress)
         case AdversarialSettings() as settings:
             reward = StructuredReward(scenes.reward)
-            shaped = ShapedReward(reward, scenes.scale)
-            train_adversarial(model, shaped, splits.train, settings, seed, progress)
+            train_adversarial(model, ShapedReward(reward, scenes.scale), splits.train, settings, seed, progress)
     return Trained(model.requires_grad_(False).eval(), reward, _provenance(config, seed, began, model, splits))
 
 

@@ -25,7 +25,7 @@ from gri.data.synthetic import Scenes
 from gri.graph import InteractionGraph, agents_of, pairs
 from gri.laplace import edge_prior
 from gri.model import RelationalModel
-from gri.objectives.common import Descent, batches, categorical_kl
+from gri.objectives.common import Bottleneck, Descent, batches, categorical_kl, updated_beta
 from gri.progress import Progress, silent
 from gri.rewards import ShapedReward
 from gri.rollout import Rollout, log_density, log_prob_of, rollout
@@ -42,14 +42,14 @@ class AdversarialSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
     policy_rate: float = 2e-3
     reward_rate: float = 2e-3
     encoder_rate: float = 2e-3
-    no_edge_prior: float = 0.9
     clip: float = 5.0
     """Bound of the encoder's gradient per edge [nats]; without it the logits saturate in a hundred updates.
     """
-    beta: Literal["printed", "accumulating"] = "printed"
-    beta_rate: float = 1.0
-    information: float = 0.0
-    """I_c, per edge [nats]."""
+    bottleneck: Bottleneck = Bottleneck()
+    rewards: Literal["semantic", "networks"] = "semantic"
+    """`networks` replaces the named terms by free functions: the ablation GRI-VAIRL (Appendix C)."""
+    relations: Literal["inferred", "all_alike"] = "inferred"
+    """`all_alike`: no encoder, every pair has the same relation; with `networks` the ablation GRI-AIRL."""
 
 
 def airl_logit(f: Float[Tensor, "*batch"], log_pi: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
@@ -74,12 +74,6 @@ def edge_gradient(
     return terms.sum(2).clamp(-clip, clip)
 
 
-def updated_beta(beta: float, kl: float, settings: AdversarialSettings) -> float:
-    """β ← max(0, [β +] α_β·(E KL − I_c)): without β as printed, with it as dual ascent."""
-    before = beta if settings.beta == "accumulating" else 0.0
-    return max(0.0, before + settings.beta_rate * (kl - settings.information))
-
-
 def train_adversarial(
     model: RelationalModel,
     reward: ShapedReward,
@@ -89,15 +83,15 @@ def train_adversarial(
     progress: Progress = silent,
 ) -> None:
     """Play the game; trains the model and the reward in place."""
-    assert model.encoder is not None, "the game infers graphs; give the model an encoder"
     generator = torch.Generator().manual_seed(seed)
     model.decoder.log_sigma.requires_grad_(False)
     learned = [p for name, p in reward.named_parameters() if not name.endswith("log_alpha")]
     inner = settings.updates * settings.reward_updates
-    to_encoder = Descent(model.encoder.parameters(), settings.encoder_rate, inner)
+    to_encoder = Descent(model.encoder.parameters(), settings.encoder_rate, inner) if model.encoder else None
     to_reward = Descent(learned, settings.reward_rate, inner)
     policy = [p for p in model.decoder.parameters() if p.requires_grad]
     to_policy = Descent(policy, settings.policy_rate, settings.updates)
+    prior = edge_prior(len(model.config.vocabulary), settings.bottleneck.no_edge_prior)
     beta = 0.0
     for update in range(settings.updates):
         for chosen in batches(len(scenes), settings.batch, settings.reward_updates, generator):
@@ -106,8 +100,10 @@ def train_adversarial(
             z = graph.sample(generator)
             judged = judge(model, reward, batch, z.detach(), generator)
             to_reward.step(discriminator_loss(judged.expert, judged.generated))
-            kl = categorical_kl(graph.logits, edge_prior(z.shape[-1], settings.no_edge_prior)).mean()
-            beta = updated_beta(beta, float(kl.detach()), settings)
+            if to_encoder is None:
+                continue
+            kl = categorical_kl(graph.logits, prior).mean()
+            beta = updated_beta(beta, float(kl.detach()), settings.bottleneck)
             slope = encoder_slope(reward, batch, judged, settings)
             to_encoder.step((z * slope).sum((1, 2)).mean() + z.shape[1] * beta * kl)
         batch = scenes[torch.randint(0, len(scenes), (settings.batch,), generator=generator)]
@@ -117,9 +113,7 @@ def train_adversarial(
 
 
 class Judged(msgspec.Struct, frozen=True):
-    """One batch seen by the discriminator: logits of recorded and generated steps, and the generated roll-
-    out.
-    """
+    """One batch seen by the discriminator: logits of recorded and generated steps, and the generated roll-out."""
 
     expert: Tensor
     generated: Tensor
@@ -170,9 +164,7 @@ def policy_value(
     graph: InteractionGraph,
     generator: torch.Generator,
 ) -> Float[Tensor, ""]:
-    """Mean f of the policy's own roll-outs under graphs drawn from the encoder (cooperative, as in the
-    paper).
-    """
+    """Mean f of the policy's own roll-outs under graphs drawn from the encoder (cooperative, as in the paper)."""
     noise = torch.randn(batch.action.shape, generator=generator)
     z = graph.sample(generator).detach()
     driven = rollout(model, batch.start, z, batch.leader, noise)

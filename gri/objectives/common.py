@@ -1,7 +1,9 @@
 """What all objectives share: batches, losses and the optimiser."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Literal
 
+import msgspec
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -18,9 +20,7 @@ def batches(scenes: int, size: int, updates: int, generator: torch.Generator) ->
 def reconstruction_loss(
     state: Float[Tensor, "B N T D"], recorded: Float[Tensor, "B N T D"], dynamics: Dynamics
 ) -> Float[Tensor, ""]:
-    """Mean squared error of positions and speeds over driven vehicles and time, as the tables report it (SI
-    units).
-    """
+    """Mean squared error of positions and speeds over driven vehicles and time, as the tables report it (SI units)."""
     counted = [dynamics.index(name) for name in ("x", "y", "v", "vx", "vy") if name in dynamics.state]
     return ((state - recorded)[:, :-1, :, counted] ** 2).sum(-1).mean()
 
@@ -29,6 +29,25 @@ def categorical_kl(logits: Float[Tensor, "B E K"], prior: Float[Tensor, " K"]) -
     """KL[q(z_ij|τ) || p(z_ij)] of each edge, in nats."""
     log_q = logits.log_softmax(-1)
     return (log_q.exp() * (log_q - prior.log())).sum(-1)
+
+
+class Bottleneck(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The constraint E KL[q(z|τ) || p(z)] ≤ I_c and how its multiplier β is found (docs/decisions/008-beta.md)."""
+
+    form: Literal["printed", "accumulating"] = "printed"
+    """β ← max(0, α·(KL − I_c)) as printed in Sec. V-B, or β ← max(0, β + α·(KL − I_c)), dual ascent."""
+    rate: float = 1.0
+    """α_β."""
+    information: float = 0.0
+    """I_c, mean per edge [nats]."""
+    no_edge_prior: float = 0.9
+    """p(z_ij = 0); the other types share the rest."""
+
+
+def updated_beta(beta: float, kl: float, bottleneck: Bottleneck) -> float:
+    """β after one more step."""
+    before = beta if bottleneck.form == "accumulating" else 0.0
+    return max(0.0, before + bottleneck.rate * (kl - bottleneck.information))
 
 
 class Descent:
@@ -43,7 +62,14 @@ class Descent:
 
     def step(self, loss: Tensor) -> None:
         """Descend the loss; gradients that reach other parameters are not kept."""
-        gradients = torch.autograd.grad(loss, self.parameters, allow_unused=True)
+        self.apply(self.gradients(loss))
+
+    def gradients(self, loss: Tensor, retain_graph: bool = False) -> Sequence[Tensor | None]:
+        """The loss's gradients, for a step taken later: where two descents share one loss."""
+        return torch.autograd.grad(loss, self.parameters, allow_unused=True, retain_graph=retain_graph)
+
+    def apply(self, gradients: Sequence[Tensor | None]) -> None:
+        """Clip the gradients and do one update."""
         for parameter, gradient in zip(self.parameters, gradients, strict=True):
             parameter.grad = gradient
         nn.utils.clip_grad_norm_(self.parameters, self.clip)

@@ -4,7 +4,8 @@ import pytest
 import torch
 from torch.nn.functional import softplus
 
-from gri.objectives.airl import AdversarialSettings, airl_logit, discriminator_loss, edge_gradient, updated_beta
+from gri.objectives.airl import airl_logit, discriminator_loss, edge_gradient
+from gri.objectives.common import Bottleneck, updated_beta
 
 
 def test_logit_is_that_of_the_papers_discriminator():
@@ -38,6 +39,6 @@ def test_slopes_are_clipped():
 
 @pytest.mark.parametrize(("form", "expected"), [("printed", 0.25), ("accumulating", 1.25)])
 def test_beta(form: str, expected: float):
-    settings = AdversarialSettings(beta=form, beta_rate=0.5, information=0.5)  # type: ignore[arg-type]
-    assert updated_beta(1.0, 1.0, settings) == expected
-    assert updated_beta(0.0, 0.0, settings) == 0.0
+    bottleneck = Bottleneck(form=form, rate=0.5, information=0.5)  # type: ignore[arg-type]
+    assert updated_beta(1.0, 1.0, bottleneck) == expected
+    assert updated_beta(0.0, 0.0, bottleneck) == 0.0
