@@ -3,6 +3,7 @@
 import msgspec
 import pandas as pd
 import pytest
+from rich.markup import escape
 
 from cosim.closed_loop import Files
 from cosim.loading import load_scenario
@@ -24,12 +25,12 @@ def test_figures_by_hand():
         columns=["time", "vehicle", "length", "lane", "v"],
     )  # fmt: skip
     rows = cells(table_of(scenario, Survey(samples, -3.25, 7, 1, 2)))
-    assert rows["mean speed \\[km/h]"] == "21.6"  # (3·10 + 2·0) / 5 = 6 m/s
+    assert rows[escape("mean speed [km/h]")] == "21.6"  # (3·10 + 2·0) / 5 = 6 m/s
     assert rows["  by lane, from the left"] == "36, 0"
-    assert rows["flow into the study area \\[veh/h]"].startswith("1800 ")  # one vehicle in 2 s
-    assert rows["  from the ramp \\[%]"] == "100.0"
-    assert rows["vehicles longer than 7 m \\[%]"] == "100.0"
-    assert rows["standing (< 0.5 m/s) \\[% of time]"] == "40.0"
+    assert rows[escape("flow into the study area [veh/h]")].startswith("1800 ")  # one vehicle in 2 s
+    assert rows[escape("  from the ramp [%]")] == "100.0"
+    assert rows[escape("vehicles longer than 7 m [%]")] == "100.0"
+    assert rows[escape("standing (< 0.5 m/s) [% of time]")] == "40.0"
     assert rows["steps with a collision / teleports"] == "1 / 2"
 
 
