@@ -12,8 +12,9 @@ import torch
 from torch import Tensor
 
 from gri.errors import InputError
+from gri.graph import FOLLOWING
 from gri.model import ModelConfig, RelationalModel
-from gri.rewards import RewardConfig, StructuredReward
+from gri.rewards import LaneRewardConfig, RewardConfig, StructuredReward
 
 FORMAT = "gri-checkpoint"
 VERSION = 1
@@ -81,7 +82,8 @@ def load_reward(path: Path | str) -> StructuredReward | None:
     content = _read(Path(path))
     if not content["reward_config"]:
         return None
-    reward = StructuredReward(_decoded(content["reward_config"], RewardConfig, path))
+    kind = RewardConfig if tuple(content["vocabulary"]) == FOLLOWING else LaneRewardConfig
+    reward = StructuredReward(_decoded(content["reward_config"], kind, path))
     reward.load_state_dict(content["reward_tensors"])
     return reward.requires_grad_(False).eval()
 

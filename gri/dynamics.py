@@ -55,25 +55,24 @@ def _point_mass_1d_inverse(state: State, next_state: State, dt: float) -> Action
     return (next_state[..., 2:3] - state[..., 2:3]) / dt
 
 
+@lru_cache
+def _dubins_matrix(dt: float, dtype: torch.dtype) -> Tensor:
+    """Rows x', y', v', θ', a', ω'; columns x, y, v, θ, a, ω, δa, δω, v·cosθ, v·sinθ."""
+    matrix = torch.eye(6, 10, dtype=dtype)
+    for row, column in ((0, 8), (1, 9), (2, 4), (3, 5), (4, 6), (5, 7)):
+        matrix[row, column] = dt
+    return matrix
+
+
 def _dubins_step(state: State, action: Action, dt: float) -> State:
     """Dubins' car (Sec. VI-C).
 
     x' = x + v·cosθ·Δt,  y' = y + v·sinθ·Δt,  v' = v + a·Δt,
     θ' = θ + ω·Δt,       a' = a + δa·Δt,      ω' = ω + δω·Δt.
     """
-    x, y, v, heading, a, yaw_rate = state.unbind(-1)
-    jerk, yaw_acceleration = action.unbind(-1)
-    return torch.stack(
-        [
-            x + v * torch.cos(heading) * dt,
-            y + v * torch.sin(heading) * dt,
-            v + a * dt,
-            heading + yaw_rate * dt,
-            a + jerk * dt,
-            yaw_rate + yaw_acceleration * dt,
-        ],
-        dim=-1,
-    )
+    v, heading = state[..., 2:3], state[..., 3:4]
+    moved = torch.cat([state, action, v * torch.cos(heading), v * torch.sin(heading)], -1)
+    return torch.nn.functional.linear(moved, _dubins_matrix(dt, state.dtype))
 
 
 def _dubins_inverse(state: State, next_state: State, dt: float) -> Action:

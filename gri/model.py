@@ -32,6 +32,13 @@ CHAIN = (
 )
 
 
+MERGE = (
+    Edge(sender=2, receiver=0, type=EdgeType.FOLLOW),
+    Edge(sender=1, receiver=0, type=EdgeType.CUT_IN),
+    Edge(sender=0, receiver=1, type=EdgeType.YIELD),
+)
+
+
 class ModelConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """All there is to know to rebuild a model from its tensors."""
 

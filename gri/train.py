@@ -10,13 +10,14 @@ import msgspec
 import torch
 
 from gri.config import read_yaml
+from gri.data import synthetic
 from gri.data.store import DataConfig, Splits
 from gri.decoder import DecoderConfig
 from gri.encoder import EncoderConfig
 from gri.errors import InputError
 from gri.evaluate import evaluate
 from gri.graph import EdgeType, pairs
-from gri.model import CHAIN, Edge, ModelConfig, RelationalModel
+from gri.model import Edge, ModelConfig, RelationalModel
 from gri.network_reward import NetworkReward
 from gri.objectives.airl import AdversarialSettings, train_adversarial
 from gri.objectives.gri import GroundedSettings, train_grounded
@@ -59,19 +60,15 @@ def read_train_config(path: Path | str) -> TrainConfig:
 
 def model_config(config: TrainConfig) -> ModelConfig:
     """The model that goes with the scenes of a configuration."""
-    scenes = config.data.scene_range
     told = isinstance(config.objective, SupervisedSettings)
     all_alike = isinstance(config.objective, AdversarialSettings) and config.objective.relations == "all_alike"
-    return ModelConfig(
-        dt=scenes.dt,
-        history_steps=scenes.history_steps,
-        never_reverse=scenes.never_reverse,
-        scale=scenes.scale,
-        decoder=config.decoder,
+    fitting = synthetic.model_config(
+        config.data.scene_range,
+        config.decoder,
         encoder=None if told or all_alike else config.encoder,
-        graph=_all_alike(3) if all_alike else CHAIN,
-        told_graph=told,
+        graph=_all_alike(3) if all_alike else None,
     )
+    return msgspec.structs.replace(fitting, told_graph=told)
 
 
 def _all_alike(vehicles: int) -> tuple[Edge, ...]:

@@ -3,8 +3,9 @@
 import msgspec
 
 from gri.data.leader import LeaderConfig
+from gri.dynamics import DynamicsName
 from gri.features import FollowingConstants
-from gri.graph import EdgeType
+from gri.graph import FOLLOWING, EdgeType, Vocabulary
 from gri.model import CHAIN, Edge
 from gri.rewards import RewardConfig, Units
 from gri.scale import CAR_FOLLOWING_PAPER, CAR_FOLLOWING_US101, Scale
@@ -44,6 +45,22 @@ class SceneRange(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     dt: float = 0.2
     history_steps: int = 20
     never_reverse: bool = False
+
+    @property
+    def dynamics(self) -> DynamicsName:
+        return DynamicsName.POINT_MASS_1D
+
+    @property
+    def vocabulary(self) -> Vocabulary:
+        return FOLLOWING
+
+    @property
+    def one_graph(self) -> tuple[GraphShare, ...]:
+        return ONE_GRAPH
+
+    @property
+    def mixed_graphs(self) -> tuple[GraphShare, ...]:
+        return MIXED_GRAPHS
 
 
 def _follow(*pairs: tuple[int, int]) -> tuple[Edge, ...]:

@@ -11,8 +11,9 @@ import msgspec
 import numpy as np
 import torch
 
-from gri.data.ranges import MIXED_GRAPHS, ONE_GRAPH, RANGES, GraphShare, SceneRange
-from gri.data.synthetic import Scenes, make_scenes, train_expert
+from gri.data.lane_changing import LANE_CHANGING_SCENES
+from gri.data.ranges import RANGES, GraphShare
+from gri.data.synthetic import Range, Scenes, make_scenes, train_expert
 from gri.errors import InputError
 from gri.progress import Progress, silent
 
@@ -20,9 +21,9 @@ from gri.progress import Progress, silent
 class DataConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Which synthetic scenes, how many, from which seed."""
 
-    range: Literal["paper", "us101"]
+    range: Literal["paper", "us101", "lane_changing"]
     graphs: Literal["one", "mixed"]
-    """One true graph (the chain) for all scenes, or six of which the chain is the most frequent."""
+    """The paper's one true graph for all scenes, or several of which that one is the most frequent."""
     train: int = 2000
     validation: int = 200
     test: int = 200
@@ -32,12 +33,12 @@ class DataConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Standard deviation [m/s³] of independent noise on the expert's jerk."""
 
     @property
-    def scene_range(self) -> SceneRange:
-        return RANGES[self.range]
+    def scene_range(self) -> Range:
+        return LANE_CHANGING_SCENES if self.range == "lane_changing" else RANGES[self.range]
 
     @property
     def shares(self) -> tuple[GraphShare, ...]:
-        return MIXED_GRAPHS if self.graphs == "mixed" else ONE_GRAPH
+        return self.scene_range.mixed_graphs if self.graphs == "mixed" else self.scene_range.one_graph
 
 
 @dataclass(frozen=True)

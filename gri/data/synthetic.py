@@ -1,6 +1,4 @@
-"""Synthetic car-following scenes: an expert policy, trained on the true reward and graph, rolled out (Sec.
-VI-C).
-"""
+"""Synthetic scenes: an expert policy, trained on the true reward and graph, rolled out (Sec. VI-C)."""
 
 from dataclasses import dataclass
 
@@ -8,10 +6,12 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from gri.data.lane_changing import LaneChangingRange, sample_merge
 from gri.data.leader import leader_states, uniform
 from gri.data.ranges import GraphShare, SceneRange
 from gri.decoder import DecoderConfig
-from gri.graph import FOLLOWING, InteractionGraph
+from gri.encoder import EncoderConfig
+from gri.graph import FOLLOWING, InteractionGraph, Vocabulary
 from gri.model import Edge, ModelConfig, RelationalModel
 from gri.progress import Progress, silent
 from gri.rewards import StructuredReward
@@ -44,7 +44,21 @@ class Scenes:
         return torch.nn.functional.one_hot(self.graph, types).float()
 
 
+Range = SceneRange | LaneChangingRange
+
+
 def sample_starts(
+    scenes: Range, count: int, generator: torch.Generator, steps: int | None = None
+) -> tuple[Float[Tensor, "B 3 D"], Float[Tensor, "B T D"]]:
+    """Initial states of three vehicles and the trajectory of the last one, the leader."""
+    match scenes:
+        case SceneRange():
+            return sample_row(scenes, count, generator, steps)
+        case LaneChangingRange():
+            return sample_merge(scenes, count, generator, steps)
+
+
+def sample_row(
     scenes: SceneRange, count: int, generator: torch.Generator, steps: int | None = None
 ) -> tuple[Float[Tensor, "B 3 3"], Float[Tensor, "B T 3"]]:
     """Initial states of three vehicles in a row and the leader's trajectory."""
@@ -74,24 +88,45 @@ def _speeds(scenes: SceneRange, count: int, generator: torch.Generator) -> Float
     return torch.cat([(middle + difference[:, :1]).clamp(min=0), middle, leader], 1)
 
 
-def sample_graphs(graphs: tuple[GraphShare, ...], count: int, generator: torch.Generator) -> Int[Tensor, "B E"]:
-    """True graphs of `count` scenes, as type indices in the following vocabulary."""
-    table = torch.cat([_certain(graph.edges) for graph in graphs])
+def sample_graphs(
+    graphs: tuple[GraphShare, ...], count: int, generator: torch.Generator, vocabulary: Vocabulary = FOLLOWING
+) -> Int[Tensor, "B E"]:
+    """True graphs of `count` scenes, as type indices in the vocabulary."""
+    table = torch.cat([_certain(graph.edges, vocabulary) for graph in graphs])
     shares = torch.tensor([float(g.share) for g in graphs])
     return table[torch.multinomial(shares, count, replacement=True, generator=generator)]
 
 
-def _certain(edges: tuple[Edge, ...]) -> Int[Tensor, "1 E"]:
-    return InteractionGraph.of_edges({(e.sender, e.receiver): e.type for e in edges}, FOLLOWING).map
+def _certain(edges: tuple[Edge, ...], vocabulary: Vocabulary) -> Int[Tensor, "1 E"]:
+    return InteractionGraph.of_edges({(e.sender, e.receiver): e.type for e in edges}, vocabulary).map
 
 
-def true_reward(scenes: SceneRange) -> StructuredReward:
+def model_config(
+    scenes: Range, decoder: DecoderConfig, encoder: EncoderConfig | None, graph: tuple[Edge, ...] | None = None
+) -> ModelConfig:
+    """A model that fits the scenes; without an encoder it believes in `graph`, by default the first of the
+    range.
+    """
+    return ModelConfig(
+        dynamics=scenes.dynamics,
+        vocabulary=scenes.vocabulary,
+        dt=scenes.dt,
+        history_steps=scenes.history_steps,
+        never_reverse=scenes.never_reverse,
+        scale=scenes.scale,
+        decoder=decoder,
+        encoder=encoder,
+        graph=scenes.one_graph[0].edges if graph is None else graph,
+    )
+
+
+def true_reward(scenes: Range) -> StructuredReward:
     """The reward the expert maximises."""
     return StructuredReward.with_weights(scenes.reward, scenes.weights).requires_grad_(False)
 
 
 def train_expert(
-    scenes: SceneRange,
+    scenes: Range,
     graphs: tuple[GraphShare, ...],
     seed: int,
     updates: int = 1500,
@@ -105,19 +140,13 @@ def train_expert(
     """
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
-    config = ModelConfig(
-        dt=scenes.dt,
-        never_reverse=scenes.never_reverse,
-        scale=scenes.scale,
-        encoder=None,
-        decoder=DecoderConfig(),
-    )
-    expert, reward = RelationalModel(config), true_reward(scenes)
+    expert, reward = RelationalModel(model_config(scenes, DecoderConfig(), None)), true_reward(scenes)
     optimiser = torch.optim.Adam(expert.parameters(), 3e-3, (0.9, 0.99))
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, 3e-3, updates)
     for update in range(updates):
         start, leader = sample_starts(scenes, batch, generator)
-        one_hot = torch.nn.functional.one_hot(sample_graphs(graphs, batch, generator), 2).float()
+        types = sample_graphs(graphs, batch, generator, scenes.vocabulary)
+        one_hot = torch.nn.functional.one_hot(types, len(scenes.vocabulary)).float()
         value = mean_return(expert, reward, start, leader, one_hot)
         optimiser.zero_grad()
         (-value).backward()
@@ -150,16 +179,21 @@ def returns(
 @torch.no_grad()
 def make_scenes(
     expert: RelationalModel,
-    scenes: SceneRange,
+    scenes: Range,
     graphs: tuple[GraphShare, ...],
     count: int,
     seed: int,
     action_noise: float = 0.0,
 ) -> Scenes:
-    """Roll the expert out from random starts; `action_noise` is the standard deviation of its jerk [m/s³]."""
+    """Roll the expert out from random starts; `action_noise` is the standard deviation of its jerk [m/s³].
+
+    Other actions are as noisy as the jerk, in units of the scale.
+    """
     generator = torch.Generator().manual_seed(seed)
     start, leader = sample_starts(scenes, count, generator)
-    types = sample_graphs(graphs, count, generator)
-    noise = torch.randn(count, 2, scenes.steps - 1, 1, generator=generator) * action_noise / expert.decoder.sigma
-    driven = rollout(expert, start, torch.nn.functional.one_hot(types, 2).float(), leader, noise)
+    types = sample_graphs(graphs, count, generator, scenes.vocabulary)
+    spread = action_noise * torch.tensor(scenes.scale.action) / scenes.scale.action[0]
+    normal = torch.randn(count, 2, scenes.steps - 1, len(spread), generator=generator)
+    one_hot = torch.nn.functional.one_hot(types, len(scenes.vocabulary)).float()
+    driven = rollout(expert, start, one_hot, leader, normal * spread / expert.decoder.sigma)
     return Scenes(driven.state, driven.action, types)

@@ -1,6 +1,6 @@
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gri.dynamics import DUBINS, POINT_MASS_1D, POINT_MASS_2D, Dynamics, dynamics_named, stop_at_standstill
@@ -9,6 +9,7 @@ ALL = [POINT_MASS_1D, DUBINS, POINT_MASS_2D]
 
 
 @pytest.mark.parametrize("dynamics", ALL, ids=lambda d: d.name)
+@settings(deadline=None)
 @given(seed=st.integers(0, 2**31), dt=st.floats(0.05, 1.0))
 def test_inverse_of_step_is_the_action(dynamics: Dynamics, seed: int, dt: float):
     source = torch.Generator().manual_seed(seed)
