@@ -9,7 +9,7 @@ x^T, the state the success rate looks at, is here the state after T actions (T =
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from itertools import pairwise
 
@@ -169,11 +169,11 @@ def modal_edges(inferred: Int[Tensor, "S E"], kept: tuple[int, int], vehicles: i
 
 def area(points: Sequence[Point], front: Front) -> float:
     """Area under the success curve over the tested headways, as a share of the largest possible one."""
-    curve = sorted((p.headway, p.success.mean) for p in points if p.front is front)
-    total = sum((b[0] - a[0]) * (a[1] + b[1]) / 2 for a, b in pairwise(curve))
-    return total / (curve[-1][0] - curve[0][0])
+    return trapezoid([(p.headway, p.success.mean) for p in points if p.front is front])
 
 
-def narrowed(protocol: Protocol, starts: int) -> Protocol:
-    """The same test from fewer starts."""
-    return replace(protocol, starts=starts)
+def trapezoid(points: Sequence[tuple[float, float]]) -> float:
+    """Mean height of a curve over its range, by the trapezoidal rule."""
+    ordered = sorted(points)
+    total = sum((b[0] - a[0]) * (a[1] + b[1]) / 2 for a, b in pairwise(ordered))
+    return total / (ordered[-1][0] - ordered[0][0])

@@ -6,20 +6,20 @@ the package, so that names like `us101_car_following` work from anywhere after a
 
 from pathlib import Path
 
-_PACKAGE = Path(__file__).parent
+PACKAGE = Path(__file__).parent
 
 
 def shipped(*parts: str) -> Path:
     """The path of a file or folder that comes with the project, e.g. `shipped("scenarios", "x.yaml")`."""
-    bundled = _PACKAGE / "_bundled"
-    return (bundled if bundled.is_dir() else _PACKAGE.parent).joinpath(*parts)
+    bundled = PACKAGE / "_bundled"
+    return (bundled if bundled.is_dir() else PACKAGE.parent).joinpath(*parts)
 
 
 def checkpoint(name: str) -> Path:
     """The path of a released checkpoint, by its bare name."""
-    return _PACKAGE / "checkpoints" / f"{name}.pt"
+    return PACKAGE / "checkpoints" / f"{name}.pt"
 
 
 def checkpoints() -> list[str]:
     """Names of the released checkpoints."""
-    return sorted(path.stem for path in (_PACKAGE / "checkpoints").glob("*.pt"))
+    return sorted(path.stem for path in (PACKAGE / "checkpoints").glob("*.pt"))

@@ -82,10 +82,18 @@ PAPER = SceneRange(
     steps=20,
     starts=Starts(headway=(4.0, 8.0), speed=(4.0, 6.0)),
     leader=LeaderConfig(),
-    reward=RewardConfig(temperature=0.1),
+    # Constants and weights by which the reward itself asks for what Sec. VI-E tests: from 8 m ahead of the vehicle it is
+    # to follow, the optimum is 2 m behind it within 4 s (docs/decisions/009-car-following-constants.md).
+    reward=RewardConfig(
+        constants=FollowingConstants(
+            standstill=2.0, time_headway=0.8, comfort=2.45, minimum=2.0, zeta=2.0, speed_limit=6.0
+        ),
+        units=Units(gap=0.5, collision=0.3),
+        temperature=0.04,
+    ),
     weights={
         "node": {"speed": 1.2, "acceleration": 1.5, "jerk": 1.5},
-        "follow": {"idm": 2.0, "dist": 5.0},
+        "follow": {"idm": 2.5, "dist": 2.0},
     },
     scale=CAR_FOLLOWING_PAPER,
 )
