@@ -91,7 +91,7 @@ def _scenes(config: TrainConfig, folder: Path) -> Splits:
 
 
 class _Bar:
-    """A progress display that can be called as a `gri.progress.Progress`."""
+    """A progress display, or lines where there is no terminal, that can be called as a `gri.progress.Progress`."""
 
     def __init__(self) -> None:
         columns = [TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}")]
@@ -108,6 +108,10 @@ class _Bar:
         self.display.stop()
 
     def _show(self, what: str, done: int, total: int, value: float) -> None:
+        if not console.is_terminal:  # a line for every tenth, so that a log file can be watched
+            if done * 10 // total > (done - 1) * 10 // total:
+                console.print(f"{what} {done}/{total} {value:.4g}")
+            return
         if what not in self.tasks:
             self.tasks[what] = self.display.add_task(what, total=total, value=value)
         self.display.update(self.tasks[what], completed=done, value=value)
