@@ -74,7 +74,7 @@ def run(
     driven: list[Episode] = []
     left: list[Episode] = []
     with simulation(scenario, files) as road:
-        trunk = _Trunk(road, scenario)
+        trunk = Trunk(road, scenario)
         trunk.warm_up(tell)
         while (count := _counted(driven if policy else left)) < scenario.episodes and trunk.time < end:
             tell("episodes", count, scenario.episodes)
@@ -103,7 +103,7 @@ def run(
         )
 
 
-class _Trunk:
+class Trunk:
     """The undisturbed traffic: steps on, remembers what it saw go wrong, and which vehicles were taken already."""
 
     def __init__(self, road: RunningRoad, scenario: Scenario) -> None:

@@ -5,23 +5,19 @@ alike. See docs/coupling.md for what a command does and when.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool
 
 from cosim.episode import COLUMNS, Ending, Episode, Event, EventKind
-from cosim.frames import RoadFrame, model_offsets
-from cosim.groups import SAME_LANE, Group, lane_leaders
+from cosim.frames import RoadFrame
+from cosim.groups import SAME_LANE, Group, next_ahead
+from cosim.pilot import OWNED, Frame, Pilot
 from cosim.safety import overlaps
 from cosim.sumo import Snapshot, StepReport, Sumo
-from gri.dynamics import DynamicsName, stop_at_standstill
-from gri.graph import InteractionGraph
 from gri.policy import Policy
-from gri.types import Trajectory
 
-OWNED = (0, 1)  # roles that a policy drives; 2 is the given leader
 PLACEMENT_TOLERANCE = 1e-6  # [m], [m/s]
 HARD_BRAKING = 4.5  # [m/s^2]
 
@@ -35,54 +31,37 @@ class Round:
     watched: int
     dt: float
 
-
-@dataclass(frozen=True)
-class _Frame:
-    """The groups at one instant: features of COLUMNS, which vehicles are there, and their rows in the snapshot."""
-
-    time: float
-    state: Float[np.ndarray, "G 3 C"]
-    valid: Bool[np.ndarray, "G 3"]
-    rows: np.ndarray  # [G, 3], -1 where absent
+    @property
+    def vehicles(self) -> list[str]:
+        return [vehicle for group in self.groups for vehicle in group.ids]
 
 
 def drive(
     world: Sumo, road: RoadFrame, history: Sequence[Snapshot], task: Round, policy: Policy | None, driver: str
 ) -> list[Episode]:
     """Drive (or only watch) the groups from the last snapshot of the history on; one Episode per group."""
-    frames = [_frame(snapshot, task.groups) for snapshot in history]
+    frames = [Frame.of(snapshot, task.groups) for snapshot in history]
     assert frames[-1].valid.all(), "a group was selected with a vehicle that is not there"
     length = history[-1].length[frames[-1].rows]
-    pilot = None if policy is None else _Pilot(policy, frames, length, task.dt)
-    endings: list[Ending | None] = [None] * len(task.groups)
-    ends = [0.0] * len(task.groups)
-    events: list[list[Event]] = [[] for _ in task.groups]
-    owned = np.zeros((len(frames), len(task.groups)), dtype=bool)
+    pilot = None if policy is None else Pilot(policy, frames, length, task.dt)
+    record = _Record(task)
     if pilot is not None:
-        _take_over(world, task.groups, frames[-1].time, events)
+        record.take_over(world, frames[-1].time)
     for k in range(task.driven + task.watched):
-        active = [g for g, ending in enumerate(endings) if ending is None]
+        active = record.active
         if pilot is not None and active:
             pilot.command(world, road, task.groups, active)
         report = world.step()
-        snapshot = world.snapshot(road)
-        frame = _frame(snapshot, task.groups)
+        snapshot = world.snapshot(road, around=task.vehicles)
+        frame = Frame.of(snapshot, task.groups)
         if pilot is not None:
-            _verify(frame, pilot, task.groups, active, events)
+            record.verify(frame, pilot)
             frame = pilot.stamp(frame, active)
-        touching = _contacts(snapshot, frame, report, task.groups, active, events)
-        for g in active:
-            ending = _ending(frame, frames[-1], g, task.groups[g], snapshot, touching[g])
-            if ending is None and k + 1 == task.driven:
-                ending = Ending.HORIZON
-            if ending is not None:
-                endings[g], ends[g] = ending, frame.time
-                if pilot is not None:
-                    _hand_back(world, task.groups[g], frame, g, ending, events[g])
+        record.judge(frame, frames[-1], snapshot, report, last=k + 1 == task.driven)
         if pilot is not None:
-            pilot.observe(frame, [g for g in active if endings[g] is None])
-        owned = np.vstack([owned, [[pilot is not None and g in active for g in range(len(task.groups))]]])
-        frames.append(_carry_on(frame, frames[-1]))
+            record.hand_back(world, frame, ended=set(active) - set(record.active))
+            pilot.observe(frame, record.active)
+        frames.append(frame.carried_on(frames[-1]))
     return [
         Episode(
             driver=driver,
@@ -90,155 +69,102 @@ def drive(
             time=np.array([frame.time for frame in frames]),
             state=np.stack([frame.state[g] for frame in frames]),
             valid=np.stack([frame.valid[g] for frame in frames]),
-            driven=owned[:, g],
+            driven=record.driven(frames, g) & (pilot is not None),
             length=length[g],
             graph=None if pilot is None or pilot.graph is None else pilot.graph[g : g + 1],
-            ending=endings[g] or Ending.HORIZON,
-            end=ends[g],
-            events=tuple(events[g]) + _hard_braking(frames, g, group, ends[g]),
+            ending=record.endings[g],
+            end=record.ends[g],
+            events=tuple(record.events[g]) + _hard_braking(frames, g, group, record.ends[g]),
         )
         for g, group in enumerate(task.groups)
     ]
 
 
-class _Pilot:
-    """A policy at the wheel: the model-frame state of all groups and the policy's memory."""
+class _Record:
+    """What happened to each group of a round so far: how it ended, when, and all events."""
 
-    def __init__(self, policy: Policy, frames: Sequence[_Frame], length: Float[np.ndarray, "G 3"], dt: float) -> None:
-        assert policy.dynamics.name is DynamicsName.POINT_MASS_1D, f"cannot drive {policy.dynamics.name} here"
-        self._policy, self._dt = policy, dt
-        self._offset = torch.from_numpy(model_offsets(length))
-        self._lateral = frames[-1].state[:, :, COLUMNS.index("d")]
-        states = torch.stack([self._model_state(frame) for frame in frames[-policy.history_steps :]], dim=2)
-        self._state = states[:, :, -1]
-        self._commanded = self._state
-        with torch.inference_mode():
-            self._memory = policy.begin(Trajectory.complete(_relative(states), dt))
+    def __init__(self, task: Round) -> None:
+        self._groups = task.groups
+        self.endings: dict[int, Ending] = {}
+        self.ends: dict[int, float] = {}
+        self.events: list[list[Event]] = [[] for _ in task.groups]
 
     @property
-    def graph(self) -> InteractionGraph | None:
-        return self._memory.graph
+    def active(self) -> list[int]:
+        """The groups that did not end yet."""
+        return [g for g in range(len(self._groups)) if g not in self.endings]
 
-    def _model_state(self, frame: _Frame) -> torch.Tensor:
-        """[G, 3, (x, v, a)] in the model's frame, float64."""
-        state = torch.from_numpy(frame.state[..., [COLUMNS.index(name) for name in ("s", "v", "a")]]).clone()
-        state[..., 0] += self._offset
-        return state
+    def driven(self, frames: Sequence[Frame], g: int) -> Bool[np.ndarray, " T"]:
+        """The instants from the first command to the end."""
+        time = np.array([frame.time for frame in frames])
+        return (time > self._groups[g].time + 1e-6) & (time <= self.ends[g] + 1e-6)
 
-    def command(self, world: Sumo, road: RoadFrame, groups: Sequence[Group], active: Sequence[int]) -> None:
-        """Ask the policy, move the dynamics one step on, and tell SUMO where the vehicles will be."""
-        with torch.inference_mode():
-            action, self._memory = self._policy.act(self._memory, _relative(self._state))
-            following = self._policy.dynamics.step(self._state, action.double(), self._dt)
-            self._commanded = stop_at_standstill(self._state, following)
-        s = (self._commanded[..., 0] - self._offset).numpy()
-        v = self._commanded[..., 1].numpy()
-        for g in active:
-            xy, heading = road.to_world(s[g], self._lateral[g])
+    def take_over(self, world: Sumo, time: float) -> None:
+        for g, group in enumerate(self._groups):
             for role in OWNED:
-                x, y = xy[role].tolist()
-                world.command(groups[g].ids[role], x, y, float(heading[role]), float(v[g, role]))
+                world.take(group.ids[role])
+            self.events[g].append(Event(time, EventKind.TAKEN, group.ids[: len(OWNED)]))
 
-    def observe(self, frame: _Frame, active: Sequence[int]) -> None:
-        """Read the world; the vehicles that are driven are where the dynamics put them."""
-        state = self._model_state(frame)
-        if active:
-            state[np.ix_(active, OWNED)] = self._commanded[np.ix_(active, OWNED)]
-        self._state = state
+    def hand_back(self, world: Sumo, frame: Frame, ended: set[int]) -> None:
+        for g in ended:
+            ids = self._groups[g].ids
+            for role in OWNED:
+                if frame.valid[g, role]:
+                    world.release(ids[role])
+            self.events[g].append(Event(frame.time, EventKind.HANDED_BACK, ids[: len(OWNED)], self.endings[g].value))
 
-    def stamp(self, frame: _Frame, active: Sequence[int]) -> _Frame:
-        """The frame with the dynamics' acceleration of owned vehicles; SUMO reports the past step's mean instead."""
-        state = frame.state.copy()
-        if active:
-            state[(*np.ix_(active, OWNED), COLUMNS.index("a"))] = self._commanded[np.ix_(active, OWNED)][..., 2]
-        return replace(frame, state=state)
+    def verify(self, frame: Frame, pilot: Pilot) -> None:
+        """Note every owned vehicle that is gone, or that is not where and as fast as the dynamics say."""
+        seen = frame.state[:, OWNED][..., [COLUMNS.index("s"), COLUMNS.index("v")]]
+        error = np.abs(seen - pilot.expected[..., :2]).max(axis=-1)
+        for g in self.active:
+            for role in OWNED:
+                vehicle = (self._groups[g].ids[role],)
+                if not frame.valid[g, role]:
+                    self.events[g].append(Event(frame.time, EventKind.VANISHED, vehicle))
+                elif error[g, role] > PLACEMENT_TOLERANCE:
+                    self.events[g].append(Event(frame.time, EventKind.MISPLACED, vehicle, f"by {error[g, role]:.3g}"))
 
-    def expected(self, g: int, role: int) -> tuple[float, float]:
-        """(s, v) of an owned vehicle after the last command."""
-        x, v, _ = self._commanded[g, role].tolist()
-        return x - float(self._offset[g, role]), v
+    def judge(self, frame: Frame, before: Frame, snapshot: Snapshot, report: StepReport, last: bool) -> None:
+        """End the groups that cannot be driven any further, and all of them after the `last` driven step."""
+        active = self.active
+        touching = self._contacts(snapshot, frame, report)
+        together = _together(snapshot, frame)
+        for g in active:
+            ending = _ending(frame, before, g, g in touching, bool(together[g])) or (Ending.HORIZON if last else None)
+            if ending is not None:
+                self.endings[g], self.ends[g] = ending, frame.time
 
-
-def _relative(state: Float[torch.Tensor, "G 3 *T 3"]) -> Float[torch.Tensor, "G 3 *T 3"]:
-    """float32 states with x counted from the leader's latest position, where float32 is finest."""
-    latest = state[:, 2:3, ..., 0] if state.dim() == 3 else state[:, 2:3, -1:, 0]
-    return torch.cat([state[..., :1] - latest[..., None], state[..., 1:]], dim=-1).float()
-
-
-def _frame(snapshot: Snapshot, groups: Sequence[Group]) -> _Frame:
-    where = {vehicle: row for row, vehicle in enumerate(snapshot.ids)}
-    rows = np.array([[where.get(vehicle, -1) for vehicle in group.ids] for group in groups])
-    features = {"x": snapshot.xy[:, 0], "y": snapshot.xy[:, 1]}
-    columns = [features[name] if name in features else getattr(snapshot, name) for name in COLUMNS]
-    state = np.stack(columns, axis=-1)[rows]
-    valid = rows >= 0
-    return _Frame(snapshot.time, np.where(valid[..., None], state, 0.0), valid, rows)
-
-
-def _carry_on(frame: _Frame, previous: _Frame) -> _Frame:
-    """The frame with the last known state of vehicles that are gone; `valid` keeps saying that they are."""
-    return replace(frame, state=np.where(frame.valid[..., None], frame.state, previous.state))
-
-
-def _take_over(world: Sumo, groups: Sequence[Group], time: float, events: list[list[Event]]) -> None:
-    for g, group in enumerate(groups):
-        for role in OWNED:
-            world.take(group.ids[role])
-        events[g].append(Event(time, EventKind.TAKEN, tuple(group.ids[role] for role in OWNED)))
-
-
-def _hand_back(world: Sumo, group: Group, frame: _Frame, g: int, ending: Ending, events: list[Event]) -> None:
-    for role in OWNED:
-        if frame.valid[g, role]:
-            world.release(group.ids[role])
-    events.append(Event(frame.time, EventKind.HANDED_BACK, tuple(group.ids[r] for r in OWNED), ending.value))
-
-
-def _verify(
-    frame: _Frame, pilot: _Pilot, groups: Sequence[Group], active: Sequence[int], events: list[list[Event]]
-) -> None:
-    """Record every owned vehicle that is gone, or that is not where and as fast as the dynamics say."""
-    for g in active:
-        for role in OWNED:
-            vehicle = groups[g].ids[role]
-            if not frame.valid[g, role]:
-                events[g].append(Event(frame.time, EventKind.VANISHED, (vehicle,)))
-                continue
-            s, v = pilot.expected(g, role)
-            seen = frame.state[g, role]
-            error = max(abs(seen[COLUMNS.index("s")] - s), abs(seen[COLUMNS.index("v")] - v))
-            if error > PLACEMENT_TOLERANCE:
-                events[g].append(Event(frame.time, EventKind.MISPLACED, (vehicle,), f"by {error:.3g}"))
+    def _contacts(self, snapshot: Snapshot, frame: Frame, report: StepReport) -> set[int]:
+        """Which groups touch something, by our own test; SUMO's opinion and every disagreement become events."""
+        rows = frame.rows[self.active][:, OWNED][frame.valid[self.active][:, OWNED]]
+        hits = overlaps(snapshot.xy, snapshot.heading, snapshot.length, snapshot.width, rows)
+        ours = {frozenset((snapshot.ids[i], snapshot.ids[j])) for i, j in hits}
+        theirs = {frozenset(pair) for pair in report.collisions}
+        if not ours and not theirs and not report.teleported:
+            return set()
+        touching = set()
+        for g in self.active:
+            members = set(self._groups[g].ids[: len(OWNED)])
+            for kind, pairs in (
+                (EventKind.CONTACT, ours),
+                (EventKind.SUMO_COLLISION, theirs),
+                (EventKind.DISAGREEMENT, ours ^ theirs),
+            ):
+                mine = sorted(tuple(sorted(pair)) for pair in pairs if pair & members)
+                self.events[g] += [Event(frame.time, kind, pair) for pair in mine]
+            self.events[g] += [Event(frame.time, EventKind.TELEPORT, (v,)) for v in report.teleported if v in members]
+            if any(pair & members for pair in ours):
+                touching.add(g)
+        return touching
 
 
-def _contacts(
-    snapshot: Snapshot,
-    frame: _Frame,
-    report: StepReport,
-    groups: Sequence[Group],
-    active: Sequence[int],
-    events: list[list[Event]],
-) -> list[bool]:
-    """Which groups touch something, by our own test; SUMO's opinion and every disagreement become events."""
-    touching = [False] * len(groups)
-    rows = np.array([frame.rows[g, role] for g in active for role in OWNED if frame.valid[g, role]], dtype=int)
-    hits = overlaps(snapshot.xy, snapshot.heading, snapshot.length, snapshot.width, rows)
-    ours = {frozenset((snapshot.ids[rows[i]], snapshot.ids[j])) for i, j in np.argwhere(hits)}
-    theirs = {frozenset(pair) for pair in report.collisions}
-    for g in active:
-        members = {groups[g].ids[role] for role in OWNED}
-        for kind, pairs in (
-            (EventKind.CONTACT, ours),
-            (EventKind.SUMO_COLLISION, theirs),
-            (EventKind.DISAGREEMENT, ours ^ theirs),
-        ):
-            events[g] += [Event(frame.time, kind, tuple(sorted(p))) for p in sorted(pairs, key=sorted) if p & members]
-        events[g] += [Event(frame.time, EventKind.TELEPORT, (v,)) for v in report.teleported if v in members]
-        touching[g] = any(pair & members for pair in ours)
-    return touching
+def _together(snapshot: Snapshot, frame: Frame) -> Bool[np.ndarray, " G"]:
+    """Whether 1 is still the next vehicle ahead of 0, and 2 that of 1."""
+    return (next_ahead(snapshot, frame.rows[:, :2].ravel()).reshape(-1, 2) == frame.rows[:, 1:]).all(axis=1)
 
 
-def _ending(frame: _Frame, before: _Frame, g: int, group: Group, snapshot: Snapshot, touching: bool) -> Ending | None:
+def _ending(frame: Frame, before: Frame, g: int, touching: bool, together: bool) -> Ending | None:
     """Why a group cannot be driven any further, if it cannot."""
     if touching:
         return Ending.CONTACT
@@ -247,14 +173,11 @@ def _ending(frame: _Frame, before: _Frame, g: int, group: Group, snapshot: Snaps
     d = COLUMNS.index("d")
     if (np.abs(frame.state[g, :, d] - before.state[g, :, d]) > SAME_LANE).any():
         return Ending.LANE_LEFT
-    leaders = lane_leaders(snapshot)
-    if leaders.get(group.ids[0]) != group.ids[1] or leaders.get(group.ids[1]) != group.ids[2]:
-        return Ending.CUT_IN
-    return None
+    return None if together else Ending.CUT_IN
 
 
-def _hard_braking(frames: Sequence[_Frame], g: int, group: Group, end: float) -> tuple[Event, ...]:
-    """The first hard braking of a handed-back vehicle after the end of the drive."""
+def _hard_braking(frames: Sequence[Frame], g: int, group: Group, end: float) -> tuple[Event, ...]:
+    """The first hard braking of each handed-back vehicle after the end of the drive."""
     a = COLUMNS.index("a")
     found = []
     for role in OWNED:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from jaxtyping import Int
 
 from cosim.safety import net_gap
 from cosim.scenario import CarFollowing, Merge
@@ -26,19 +27,15 @@ class Group:
     time: float
 
 
-def lane_leaders(snapshot: Snapshot) -> dict[str, str]:
-    """The next vehicle ahead in the same lane, for every vehicle that has one."""
-    order = np.argsort(snapshot.s)
-    last: list[tuple[float, int]] = []  # (d, row) of the foremost vehicle seen so far in each lane, walking backwards
-    leaders = {}
-    for row in order[::-1]:
-        lane = next((k for k, (d, _) in enumerate(last) if abs(d - snapshot.d[row]) < SAME_LANE), None)
-        if lane is None:
-            last.append((float(snapshot.d[row]), int(row)))
-            continue
-        leaders[snapshot.ids[row]] = snapshot.ids[last[lane][1]]
-        last[lane] = float(snapshot.d[row]), int(row)
-    return leaders
+def next_ahead(snapshot: Snapshot, rows: Int[np.ndarray, " R"]) -> Int[np.ndarray, " R"]:
+    """Row of the next vehicle ahead in the same lane, −1 where the road ahead is empty."""
+    if not len(snapshot.ids):
+        return np.full(len(rows), -1)
+    distance = snapshot.s[None] - snapshot.s[rows][:, None]  # Shape: (R, V)
+    same_lane = np.abs(snapshot.d[None] - snapshot.d[rows][:, None]) < SAME_LANE
+    distance = np.where(same_lane & (distance > 0), distance, np.inf)
+    nearest = distance.argmin(axis=1)
+    return np.where(np.isinf(distance[np.arange(len(rows)), nearest]), -1, nearest)
 
 
 def select(
@@ -66,20 +63,23 @@ def select(
 
 def _chains(history: Sequence[Snapshot], rule: CarFollowing, inside: Set[str]) -> list[tuple[str, str, str]]:
     """Triples in one lane in which, at every instant of the history, each is the next one's leader."""
-    leaders = [lane_leaders(snapshot) for snapshot in history]
+    leaders = [_leaders(snapshot) for snapshot in history]
     now, rows = history[-1], history[-1].rows(history[-1].ids)
-    chains = [
-        (rear, leaders[-1][rear], leaders[-1][leaders[-1][rear]])
-        for rear in now.ids
-        if rear in inside and leaders[-1].get(rear) in inside and leaders[-1].get(leaders[-1][rear]) in inside
-    ]
+    chains = [(rear, middle, leaders[-1].get(middle, "")) for rear, middle in leaders[-1].items()]
     return [
         ids
         for ids in chains
-        if all(at.get(ids[0]) == ids[1] and at.get(ids[1]) == ids[2] for at in leaders)
+        if set(ids) <= inside
+        and all(at.get(ids[0]) == ids[1] and at.get(ids[1]) == ids[2] for at in leaders)
         and all(_binding(now, rows[behind], rows[ahead], rule) for behind, ahead in pairwise(ids))
         and _steady(history, ids)
     ]
+
+
+def _leaders(snapshot: Snapshot) -> dict[str, str]:
+    """The next vehicle ahead in the same lane, for every vehicle that has one."""
+    ahead = next_ahead(snapshot, np.arange(len(snapshot.ids)))
+    return {snapshot.ids[row]: snapshot.ids[k] for row, k in enumerate(ahead) if k >= 0}
 
 
 def _gap(now: Snapshot, behind: int, ahead: int) -> float:

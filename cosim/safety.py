@@ -4,14 +4,14 @@ Poses are front-bumper centres (see cosim/frames.py); a box of length L reaches 
 """
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Float, Int
 
 
 def box_centre(
     xy: Float[np.ndarray, "V 2"], heading: Float[np.ndarray, " V"], length: Float[np.ndarray, " V"]
 ) -> Float[np.ndarray, "V 2"]:
     """Centres of the boxes whose front-bumper centres are at `xy`."""
-    return xy - 0.5 * length[:, None] * np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    return xy - 0.5 * length[:, None] * _direction(heading)
 
 
 def overlaps(
@@ -19,30 +19,33 @@ def overlaps(
     heading: Float[np.ndarray, " V"],
     length: Float[np.ndarray, " V"],
     width: Float[np.ndarray, " V"],
-    rows: np.ndarray,
-) -> Bool[np.ndarray, "R V"]:
-    """Which boxes overlap the boxes `rows`, by the separating-axis theorem; a box never overlaps itself.
+    rows: Int[np.ndarray, " R"],
+) -> Int[np.ndarray, "P 2"]:
+    """Pairs (i, j) of overlapping boxes with i among `rows`, by the separating-axis theorem.
 
     Touching boxes do not overlap: the test is strict.
     """
     centre = box_centre(xy, heading, length)
-    half = 0.5 * np.stack([length, width], axis=1)  # Shape: (V, 2)
-    cos, sin = np.cos(heading), np.sin(heading)
-    axes = np.stack([np.stack([cos, sin], -1), np.stack([-sin, cos], -1)], axis=1)  # Shape: (V, axis, xy)
-    offset = centre[None] - centre[rows][:, None]  # Shape: (R, V, xy)
+    half = 0.5 * np.stack([length, width], axis=1)
+    radius = np.hypot(half[:, 0], half[:, 1])
+    offset = centre[None] - centre[rows][:, None]  # Shape: (R, V, 2)
+    near = (offset**2).sum(-1) < (radius[rows][:, None] + radius[None]) ** 2
+    near[np.arange(len(rows)), rows] = False
+    which, j = np.nonzero(near)
+    i, between = rows[which], offset[which, j]
+    forward = _direction(heading)
+    left = np.stack([-forward[:, 1], forward[:, 0]], axis=1)
+    axes = np.stack([forward, left], axis=1)  # Shape: (V, axis, 2)
+    apart = np.zeros(len(i), dtype=bool)
+    for box in (i, j):
+        for axis in (axes[box, 0], axes[box, 1]):
+            reach = sum((np.abs((axes[k] * axis[:, None]).sum(-1)) * half[k]).sum(-1) for k in (i, j))
+            apart |= np.abs((between * axis).sum(-1)) >= reach
+    return np.stack([i, j], axis=1)[~apart]
 
-    def reach(axis: np.ndarray, boxes_axes: np.ndarray, boxes_half: np.ndarray) -> np.ndarray:
-        """Half extent of boxes projected on an axis."""
-        return (np.abs((boxes_axes * axis[..., None, :]).sum(-1)) * boxes_half).sum(-1)
 
-    apart = np.zeros(offset.shape[:2], dtype=bool)
-    for k in range(2):
-        for axis in (axes[rows][:, None, k], axes[None, :, k]):
-            distance = np.abs((offset * axis).sum(-1))
-            extent = reach(axis, axes[rows][:, None], half[rows][:, None]) + reach(axis, axes[None], half[None])
-            apart |= distance >= extent
-    apart[np.arange(len(rows)), rows] = True
-    return ~apart
+def _direction(heading: Float[np.ndarray, " V"]) -> Float[np.ndarray, "V 2"]:
+    return np.stack([np.cos(heading), np.sin(heading)], axis=1)
 
 
 def net_gap(

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import libsumo
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 
 from cosim.frames import RoadFrame, heading_of, sumo_angle_of
 
@@ -80,13 +80,17 @@ class Sumo:
             collisions=tuple((hit.collider, hit.victim) for hit in libsumo.simulation.getCollisions()),
         )
 
-    def snapshot(self, road: RoadFrame) -> Snapshot:
-        """Read every vehicle on the road network."""
+    def snapshot(self, road: RoadFrame, around: Sequence[str] | None = None) -> Snapshot:
+        """Read every vehicle on the road network, or only those near the vehicles `around` (see `_near`)."""
         vehicle = libsumo.vehicle
-        ids = tuple(vehicle.getIDList())
+        ids: tuple[str, ...] = tuple(vehicle.getIDList())
         xy = np.array([vehicle.getPosition(v) for v in ids], dtype=float).reshape(-1, 2)
-        sizes = np.array([self._size(v) for v in ids], dtype=float).reshape(-1, 2)
         s, d = road.to_road(xy)
+        if around is not None:
+            wanted = set(around)
+            rows = np.flatnonzero(_near(s, d, np.array([row for row, v in enumerate(ids) if v in wanted], dtype=int)))
+            ids, xy, s, d = tuple(ids[row] for row in rows), xy[rows], s[rows], d[rows]
+        sizes = np.array([self._size(v) for v in ids], dtype=float).reshape(-1, 2)
         return Snapshot(
             time=libsumo.simulation.getTime(),
             ids=ids,
@@ -170,6 +174,15 @@ class Sumo:
         if self._pending:  # closing and restarting with a pending moveToXY crashes SUMO
             libsumo.simulationStep()
         libsumo.close()
+
+
+def _near(
+    s: Float[np.ndarray, " V"], d: Float[np.ndarray, " V"], rows: Int[np.ndarray, " R"]
+) -> Bool[np.ndarray, " V"]:
+    """Who has to do with the vehicles `rows`: 80 m along their own lane, 25 m beside it, themselves included."""
+    along, across = np.abs(s[None] - s[rows][:, None]), np.abs(d[None] - d[rows][:, None])
+    near = ((along < 80) & (across < 2)) | ((along < 25) & (across < 6))
+    return np.any(near, axis=0, keepdims=True)[0]
 
 
 _running = False

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cosim.groups import lane_leaders, select
+from cosim.groups import next_ahead, select
 from cosim.scenario import CarFollowing, Merge
 from cosim.sumo import Snapshot
 
@@ -39,7 +39,7 @@ def pick(history, rule=RULE, limit=9, eligible=None):
 
 def test_leaders_are_per_lane():
     snapshot = traffic(("a", 0, 0), ("b", 20, 3.5), ("c", 30, 0), ("d", 50, 0.1))
-    assert lane_leaders(snapshot) == {"a": "c", "c": "d"}
+    assert next_ahead(snapshot, np.arange(4)).tolist() == [2, -1, 3, -1]
 
 
 def test_a_chain_is_found_from_the_rear_up():
