@@ -1,4 +1,4 @@
-"""The `gri` command: make scenes, train, evaluate."""
+"""The `gri` command: make scenes, train, evaluate, reproduce."""
 
 import sys
 from collections.abc import Callable
@@ -16,13 +16,14 @@ from gri import checkpoint, resources
 from gri.data.store import Splits, scenes_of, scenes_path
 from gri.errors import InputError
 from gri.evaluate import Evaluation, evaluate
+from gri.reproduce import TABLES, Plan
 from gri.train import TrainConfig, read_train_config, train
 
 app = typer.Typer(
     no_args_is_help=True,
     add_completion=False,
     pretty_exceptions_enable=False,
-    help="Learn which vehicle heeds which, and drive by it: data, train, evaluate.",
+    help="Learn which vehicle heeds which, and drive by it: data, train, evaluate, reproduce.",
 )
 console = Console()
 
@@ -72,6 +73,36 @@ def evaluate_command(
     splits = _scenes(msgspec.convert(made["config"], TrainConfig), scenes)
     console.print(_table(path.stem, evaluate(model, splits.test), len(splits.test)))
     _next("cosim --help")
+
+
+@app.command(name="reproduce")
+def reproduce_command(
+    target: Annotated[str, typer.Argument(help=f"One of {', '.join(TABLES)}.")],
+    seeds: Annotated[int, typer.Option(help="Seeds per row.")] = 5,
+    test: Annotated[int, typer.Option("--scenes", help="Test scenes.")] = 1000,
+    out: Annotated[Path, typer.Option(help="Folder for tables and figures.")] = Path("runs/reproduce"),
+    cache: Annotated[Path, typer.Option(help="Folder of finished rows and seeds.")] = Path("runs/reproduce/jobs"),
+    scenes: Annotated[Path, typer.Option("--scenes-folder", help="Folder in which scenes are kept.")] = SCENES,
+    scenario: Annotated[str | None, typer.Option(help="Only this scenario.")] = None,
+    processes: Annotated[int, typer.Option(help="Trainings at a time, one thread each.")] = 2,
+    quick: Annotated[bool, typer.Option(help="Few scenes and updates: shows that all runs, no more.")] = False,
+) -> None:
+    """4. Train what a table or figure of the paper needs, and write it beside the printed figures."""
+    from gri.publish import publish  # brings pandas and matplotlib, which the other commands need not wait for
+
+    if target not in TABLES:
+        raise InputError(f"got {target}, wanted one of {', '.join(TABLES)}")
+    plan = Plan(target, seeds, test, out, cache, scenes, scenario, quick, processes)  # type: ignore[arg-type]
+    try:
+        with _Bar() as progress:
+            written = publish(plan, " ".join(["gri", *sys.argv[1:]]), progress)
+    except KeyboardInterrupt:
+        console.print("interrupted; the same command goes on from here")
+        raise SystemExit(130) from None
+    for path in written:
+        console.print(str(path), soft_wrap=True)
+    following = {"table1": "gri reproduce table3", "table3": "gri reproduce ood", "ood": "gri reproduce figures"}
+    _next(following.get(target, "cosim --help"))
 
 
 def _read(config: str) -> TrainConfig:

@@ -19,10 +19,10 @@ from torch import Tensor
 from gri import checkpoint, graph_scores, metrics, ood, probes
 from gri.data.store import Splits, scenes_of
 from gri.data.synthetic import sample_starts, true_reward
-from gri.dynamics import dynamics_named
+from gri.dynamics import Dynamics, dynamics_named
 from gri.evaluate import believed
-from gri.graph import EdgeType
-from gri.model import RelationalModel
+from gri.graph import EdgeType, InteractionGraph, Vocabulary
+from gri.model import Edge, RelationalModel
 from gri.objectives.airl import AdversarialSettings
 from gri.rewards import StructuredReward
 from gri.rows import Row, Scenario
@@ -98,7 +98,7 @@ def examine(job: Job, model: RelationalModel, reward: StructuredReward | None, s
     scenes = splits.test
     graph = believed(model, scenes)
     true = true_reward(job.config.data.scene_range)
-    states = probes.reconstruct(model, scenes)
+    states, types = probes.reconstruct(model, scenes), forced_types(job, model, graph.map)
     return {
         "rmse": {
             name: metrics.rmse(states, scenes.state, model.dynamics.index(name)) for name in job.scenario.features
@@ -108,7 +108,8 @@ def examine(job: Job, model: RelationalModel, reward: StructuredReward | None, s
         "std": spread(job, model, splits),
         "weights": None if reward is None else probes.weights_beside_truth(reward, true),
         "flip": flips(job, model, splits, true),
-        "ood": [asdict(point) for point in curve(job, model, graph.map)],
+        "ood_types": types.tolist(),
+        "ood": [asdict(point) for point in curve(job, model, types)],
     }
 
 
@@ -158,14 +159,17 @@ def flips(job: Job, model: RelationalModel, splits: Splits, true: StructuredRewa
     return None if found is None else {"none->follow": asdict(found)}
 
 
-def curve(job: Job, model: RelationalModel, inferred: Tensor) -> list[ood.Point]:
+def forced_types(job: Job, model: RelationalModel, inferred: Tensor) -> Tensor:
+    """The two edges of the test out of distribution: as defined, or as the model itself names them in the data."""
+    if job.row.meaning:
+        return ood.follow_edge(model.config.vocabulary)
+    return ood.modal_edges(inferred, job.scenario.protocol.kept, vehicles=3)
+
+
+def curve(job: Job, model: RelationalModel, types: Tensor) -> list[ood.Point]:
     """The test out of distribution."""
-    protocol, vehicles = job.scenario.protocol, 3
-    types = ood.follow_edge(model.config.vocabulary)
-    if not job.row.meaning:
-        types = ood.modal_edges(inferred, protocol.kept, vehicles)
-    steps = job.config.data.scene_range.steps
-    return ood.curve(ood.driver(model, types, steps), starts(job), protocol, model.dynamics)
+    drive = ood.driver(model, types, job.config.data.scene_range.steps)
+    return ood.curve(drive, starts(job), job.scenario.protocol, model.dynamics)
 
 
 def starts(job: Job) -> Tensor:
@@ -183,7 +187,7 @@ def oracle_points(job: Job, cache: Path) -> list[dict[str, Any]]:
     path = cache / f"oracle-{job.scenario.name}-{hashlib.sha256(content).hexdigest()[:10]}.json"
     if not path.is_file():
         torch.set_num_threads(1)
-        dynamics = dynamics_named(model_config(job.config).dynamics)
+        dynamics = dynamics_of(job)
         drive = ood.oracle(true_reward(scenes), dynamics, scenes.dt, scenes.steps)
         write(path, [asdict(point) for point in ood.curve(drive, starts(job), protocol, dynamics)])
     return msgspec.json.decode(path.read_bytes())
@@ -197,3 +201,17 @@ def quick(job: Job) -> Job:
     headways = job.scenario.protocol.headways[::4]
     protocol = replace(job.scenario.protocol, headways=headways, starts=20)
     return replace(job, config=config, scenario=replace(job.scenario, protocol=protocol))
+
+
+def dynamics_of(job: Job) -> Dynamics:
+    return dynamics_named(model_config(job.config).dynamics)
+
+
+def vocabulary_of(job: Job) -> Vocabulary:
+    return model_config(job.config).vocabulary
+
+
+def types_of(job: Job, edges: tuple[Edge, ...]) -> Tensor:
+    """Type indices [1, E] of the graph that has just these edges."""
+    named = {(edge.sender, edge.receiver): edge.type for edge in edges}
+    return InteractionGraph.of_edges(named, vocabulary_of(job)).map

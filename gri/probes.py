@@ -71,10 +71,11 @@ def weights_beside_truth(reward: StructuredReward, true: StructuredReward) -> di
     groups = list(reward.psi)
     unit = next(name for name in reward.names("node") if "jerk" in name)
     place = reward.names("node").index(unit)
-    scales = [float(r.weights("node")[place].detach()) for r in (reward, true)]
+    scale, true_scale = (float(r.weights("node")[place].detach()) for r in (reward, true))
     return {
-        f"{group}.{name}": tuple(
-            float(r.weights(group)[m].detach()) / scale for r, scale in zip((reward, true), scales, strict=True)
+        f"{group}.{name}": (
+            float(reward.weights(group)[m].detach()) / scale,
+            float(true.weights(group)[m].detach()) / true_scale,
         )
         for group in groups
         for m, name in enumerate(reward.names(group))

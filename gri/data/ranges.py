@@ -82,8 +82,8 @@ PAPER = SceneRange(
     steps=20,
     starts=Starts(headway=(4.0, 8.0), speed=(4.0, 6.0)),
     leader=LeaderConfig(),
-    # Constants and weights by which the reward itself asks for what Sec. VI-E tests: from 8 m ahead of the vehicle it is
-    # to follow, the optimum is 2 m behind it within 4 s (docs/decisions/009-car-following-constants.md).
+    # Constants and weights by which the reward itself asks for what Sec. VI-E tests: from 8 m ahead of the vehicle it
+    # is to follow, the optimum is 2 m behind it within 4 s (docs/decisions/009-car-following-constants.md).
     reward=RewardConfig(
         constants=FollowingConstants(
             standstill=2.0, time_headway=0.8, comfort=2.45, minimum=2.0, zeta=2.0, speed_limit=6.0

@@ -20,6 +20,7 @@ from gri.data.synthetic import Scenes, returns
 from gri.graph import pairs
 from gri.laplace import Expansion, combination_prior, edge_posterior, expand, log_likelihood, scene_prior
 from gri.model import RelationalModel
+from gri.neural import edge_ends
 from gri.objectives.common import Descent, batches, reconstruction_loss
 from gri.objectives.graphs import posterior_by_policy
 from gri.progress import Progress, silent
@@ -70,6 +71,11 @@ class GroundedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     encoder_rate: float = 1e-3
     return_batch: int = 32
     return_weight: float = 0.02
+    return_headway: float | None = None
+    """Least starting headway [m] over which a vehicle may react in the roll-outs whose return is maximised.
+
+    None: any. A test of shorter headways is then one of headways never trained.
+    """
     augmentation: Augmentation = Augmentation()
     shifts: Shifts = Shifts()
 
@@ -197,6 +203,8 @@ def grounded_return(
     batch = scenes[torch.randint(0, len(scenes), (count,), generator=generator)]
     start = shift(batch.start, settings.shifts, generator)
     graph = random_graphs(count, start.shape[1], len(reward.vocabulary), generator)
+    if settings.return_headway is not None:
+        graph = hold_out(graph, start, settings.return_headway)
     driven = rollout(model, start, graph, batch.leader, selfish=True)
     return returns(reward, driven.state, driven.action, graph).mean()
 
@@ -205,6 +213,14 @@ def random_graphs(count: int, vehicles: int, types: int, generator: torch.Genera
     """Every edge of any type with the same probability, as one-hot vectors."""
     drawn = torch.randint(0, types, (count, len(pairs(vehicles))), generator=generator)
     return torch.nn.functional.one_hot(drawn, types).float()
+
+
+def hold_out(graph: Float[Tensor, "B E K"], start: Float[Tensor, "B N D"], headway: float) -> Float[Tensor, "B E K"]:
+    """The graphs without the edges whose sender starts less than the headway ahead of the receiver."""
+    senders, receivers = edge_ends(start.shape[1])
+    near = start[:, senders, 0] - start[:, receivers, 0] < headway
+    none = torch.eye(graph.shape[-1])[0].expand_as(graph)
+    return torch.where(near[..., None], none, graph)
 
 
 def shift(start: Float[Tensor, "B N D"], shifts: Shifts, generator: torch.Generator) -> Float[Tensor, "B N D"]:

@@ -1,0 +1,80 @@
+"""Write what a plan made: tables as CSV, Parquet and Markdown, figures, and how all of it came about."""
+
+import json
+import time
+from collections.abc import Sequence
+from pathlib import Path
+
+import pandas as pd
+
+from gri import figures, rows, tables
+from gri.jobs import Job
+from gri.ood import Front
+from gri.progress import Progress, silent
+from gri.reproduce import Plan, make, oracles, provenance
+
+NOTES = """\
+Ours: mean over seeds ± standard deviation over test scenes (mean over seeds) [least seed, greatest seed]. Paper: mean
+± standard deviation. "4 edges": edges into driven vehicles; F1 is over those. Labels of models whose types have no
+meaning are renamed for the accuracy, "none" excepted. Absolute errors depend on scene constants and on the noise of
+the expert, of which the paper prints none: compare the ratios of rows.
+"""
+FRONTS = {
+    Front.CONSTANT_SPEED: "Vehicle 1 keeps its speed",
+    Front.POLICY: "Vehicle 1 is driven by the same policy, without a vehicle to heed",
+}
+
+
+def publish(plan: Plan, command: str, progress: Progress = silent) -> list[Path]:
+    """Make what is missing, then write everything; returns the files."""
+    began = time.monotonic()
+    wanted = make(plan, progress)
+    if plan.target in ("table1", "table3"):
+        written = _scores(plan, wanted)
+    else:
+        curves = tables.curve_rows(wanted, plan.cache, oracles(plan, wanted, progress))
+        written = _curves(plan, wanted, curves) if plan.target == "ood" else _figures(plan, wanted, curves)
+    path = plan.out / f"{plan.target}.json"
+    path.write_text(json.dumps(provenance(plan, wanted, command, began), indent=1) + "\n")
+    return [*written, path]
+
+
+def _scenarios(wanted: Sequence[Job]) -> list[rows.Scenario]:
+    return [rows.scenario_named(name) for name in dict.fromkeys(job.scenario.name for job in wanted)]
+
+
+def _write(plan: Plan, frames: dict[str, pd.DataFrame], text: str) -> list[Path]:
+    plan.out.mkdir(parents=True, exist_ok=True)
+    written = []
+    for name, frame in frames.items():
+        frame.to_csv(plan.out / f"{name}.csv", index=False)
+        frame.to_parquet(plan.out / f"{name}.parquet", index=False)
+        written += [plan.out / f"{name}.csv", plan.out / f"{name}.parquet"]
+    path = plan.out / f"{plan.target}.md"
+    path.write_text(text, encoding="utf-8")
+    return [path, *written]
+
+
+def _scores(plan: Plan, wanted: Sequence[Job]) -> list[Path]:
+    scores = tables.score_rows(wanted, plan.cache)
+    parts = [f"# {plan.target}: {plan.seeds} seeds, {plan.scenes} test scenes\n", NOTES]
+    for scenario in _scenarios(wanted):
+        parts += [f"## {scenario.title}\n", tables.markdown_table(scores, scenario) + "\n"]
+        weights = tables.markdown_weights(wanted, plan.cache, scenario)
+        if weights:
+            parts += ["Reward weights over the jerk's, mean over seeds [range]:\n", weights + "\n"]
+    return _write(plan, {plan.target: scores}, "\n".join(parts))
+
+
+def _curves(plan: Plan, wanted: Sequence[Job], curves: pd.DataFrame) -> list[Path]:
+    parts = [f"# Out of distribution: success rate [%], mean over {plan.seeds} seeds\n"]
+    for scenario in _scenarios(wanted):
+        for front, title in FRONTS.items():
+            parts += [f"## {scenario.title}. {title}\n", tables.markdown_curves(curves, scenario, front) + "\n"]
+    return _write(plan, {"ood": curves, "ood_areas": tables.areas(curves)}, "\n".join(parts))
+
+
+def _figures(plan: Plan, wanted: Sequence[Job], curves: pd.DataFrame) -> list[Path]:
+    folder = plan.out / "figures"
+    names = figures.draw(wanted, plan.cache, plan.scenes_folder, curves, folder)
+    return [folder / f"{name}.{kind}" for name in names for kind in ("png", "svg")]
