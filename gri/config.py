@@ -1,8 +1,9 @@
 """Reading configuration: YAML in, one frozen typed value out, and errors that name file, line and field."""
 
+import difflib
 import re
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import msgspec
 import yaml
@@ -13,19 +14,34 @@ T = TypeVar("T")
 
 
 def read_yaml(path: Path | str, kind: type[T]) -> T:
-    """The typed value of a YAML file; unknown fields and wrong types are `InputError`s."""
-    text = read_text(Path(path))
+    """The typed value of a YAML file; unknown fields, wrong types and repeated keys are `InputError`s."""
+    return typed(parsed(path), kind, path)
+
+
+def parsed(path: Path | str) -> Any:
+    """The plain content of a YAML file."""
+    text = _text(Path(path))
     try:
-        return msgspec.convert(yaml.safe_load(text), kind)
+        content, tree = yaml.safe_load(text), yaml.compose(text)
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f":{mark.line + 1}" if mark else ""
         raise InputError(f"{path}{where}: not valid YAML ({getattr(error, 'problem', error)})") from error
+    if repeated := _repeated_key(tree):
+        line = repeated.start_mark.line + 1
+        raise InputError(f"{path}:{line}: field {repeated.value} stands twice in its mapping; keep one")
+    return content
+
+
+def typed(content: Any, kind: type[T], path: Path | str) -> T:
+    """Plain content as a typed value; `path` is the file that errors name."""
+    try:
+        return msgspec.convert(content, kind)
     except msgspec.ValidationError as error:
-        raise InputError(_explained(str(error), text, path)) from error
+        raise InputError(_explained(str(error), kind, path)) from error
 
 
-def read_text(path: Path) -> str:
+def _text(path: Path) -> str:
     try:
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
@@ -33,23 +49,46 @@ def read_text(path: Path) -> str:
         raise InputError(f"{path}: cannot be read ({reason}); give the path of a YAML file") from error
 
 
-def _explained(message: str, text: str, path: Path | str) -> str:
-    """msgspec's message with the line of the field it means."""
+def _repeated_key(node: yaml.Node | None) -> yaml.ScalarNode | None:
+    """The first key that a mapping holds twice; YAML loaders silently keep the last one."""
+    values = []
+    if isinstance(node, yaml.MappingNode):
+        seen = set()
+        for key, value in node.value:
+            if isinstance(key, yaml.ScalarNode) and key.value in seen:
+                return key
+            seen.add(key.value if isinstance(key, yaml.ScalarNode) else None)
+            values.append(value)
+    elif isinstance(node, yaml.SequenceNode):
+        values = node.value
+    return next((found for value in values if (found := _repeated_key(value))), None)
+
+
+def _explained(message: str, kind: type, path: Path | str) -> str:
+    """`file:line: field name: what is wrong; what to do` out of msgspec's message."""
     found = re.search(r" - at `(?:key in )?\$\.?([^`]*)`", message)
     fields = re.split(r"\.|(?=\[)", found[1]) if found and found[1] else []
     unknown = re.search(r"unknown field `([^`]*)`", message)
     missing = re.search(r"missing required field `([^`]*)`", message)
-    plain = message.split(" - at ")[0]
+    problem, hint = message.split(" - at ")[0], "correct it"
+    if unknown:
+        close = difflib.get_close_matches(unknown[1], _field_names(kind), n=1)
+        problem, hint = "unknown field", f"did you mean {close[0]!r}?" if close else "remove or correct it"
     name = ".".join([*fields, *([unknown[1]] if unknown else []), *([missing[1]] if missing else [])])
-    line = _line([*fields, unknown[1]] if unknown else fields, text)
+    line = _line([*fields, unknown[1]] if unknown else fields, Path(path))
     place = f"{path}:{line}" if line else str(path)
-    hint = "remove or correct it" if unknown else "correct it"
-    return f"{place}: {f'field {name}: ' if name else ''}{plain[:1].lower()}{plain[1:]}; {hint}"
+    return f"{place}: {f'field {name}: ' if name else ''}{problem[:1].lower()}{problem[1:]}; {hint}"
 
 
-def _line(fields: list[str], text: str) -> int | None:
-    """Line on which a field stands, counted from 1."""
-    node = yaml.compose(text)
+def _field_names(kind: type) -> list[str]:
+    """All field names a value of that kind may hold, at any depth."""
+    definitions = msgspec.json.schema(kind).get("$defs", {}).values()
+    return sorted({name for definition in definitions for name in definition.get("properties", {})})
+
+
+def _line(fields: list[str], path: Path) -> int | None:
+    """Line on which a field stands, counted from 1, as far as the file has it."""
+    node = yaml.compose(_text(path))
     line = None
     for field in fields:
         if isinstance(node, yaml.MappingNode):

@@ -50,17 +50,21 @@ def test_a_scenario_survives_its_own_serialisation():
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("horizon: 8.0", "horizn: 8.0", r"mine.yaml:\d+: horizn: unknown field 'horizn'; did you mean 'horizon'\?"),
-        ("  max_gap: 45", "  max_gpa: 45", r"mine.yaml:\d+: group.max_gpa: unknown field.*'max_gap'"),
-        ("horizon: 8.0", "horizon: -8.0", r"mine.yaml:\d+: horizon: Expected `float` > 0"),
-        ("horizon: 8.0", "horizon: long", r"mine.yaml:\d+: horizon: Expected `float`, got `str`"),
+        ("horizon: 8.0", "horizn: 8.0", r"mine.yaml:\d+: field horizn: unknown field; did you mean 'horizon'\?"),
+        (
+            "  max_gap: 45",
+            "  max_gpa: 45",
+            r"mine.yaml:\d+: field group.max_gpa: unknown field; did you mean 'max_gap'\?",
+        ),
+        ("horizon: 8.0", "horizon: -8.0", r"mine.yaml:\d+: field horizon: expected `float` > 0"),
+        ("horizon: 8.0", "horizon: long", r"mine.yaml:\d+: field horizon: expected `float`, got `str`"),
         ("horizon: 8.0", "horizon: 8.1", r"horizon is 8.1 s, expected a multiple of step = 0.2 s"),
-        ("seed: 1", "seed: 1.5", r"mine.yaml:\d+: seed: Expected `int`"),
-        ("episodes: 30", "episodes: 0", r"mine.yaml:\d+: episodes: Expected `int` >= 1"),
-        ("rule: car_following", "rule: car_folowing", r"group.rule: Invalid value 'car_folowing'"),
+        ("seed: 1", "seed: 1.5", r"mine.yaml:\d+: field seed: expected `int`"),
+        ("episodes: 30", "episodes: 0", r"mine.yaml:\d+: field episodes: expected `int` >= 1"),
+        ("rule: car_following", "rule: car_folowing", r"group.rule: invalid value 'car_folowing'"),
         ("net: us101\n", "", r"missing required field `net`"),
         ("origin: entry", "origin: entrance", r"origin 'entrance' is not among the road's edges"),
-        ("seed: 1\n", "seed: 1\nseed: 2\n", r"mine.yaml:\d+: the key 'seed' stands here twice"),
+        ("seed: 1\n", "seed: 1\nseed: 2\n", r"mine.yaml:\d+: field seed stands twice"),
         ("seed: 1\n", "seed: [1\n", r"mine.yaml:\d+: not valid YAML"),
         ("traffic: us101_congested", "traffic: us101_congestd", r"did you mean 'us101_congested'\?"),
     ],
@@ -76,7 +80,7 @@ def test_the_line_is_the_right_one(scenario_file):
     path = scenario_file(("horizon: 8.0", "horizon: -8.0"))
     with open(path) as file:
         line = next(k for k, text in enumerate(file, 1) if text.startswith("horizon"))
-    with pytest.raises(InputError, match=f"mine.yaml:{line}: horizon"):
+    with pytest.raises(InputError, match=f"mine.yaml:{line}: field horizon"):
         load_scenario(path)
 
 
@@ -90,7 +94,7 @@ def test_binary_and_empty_files_are_refused(tmp_path):
     (tmp_path / "b.yaml").write_text("")
     with pytest.raises(InputError, match="not a text file"):
         load_scenario(str(tmp_path / "a.yaml"))
-    with pytest.raises(InputError, match="expected a mapping"):
+    with pytest.raises(InputError, match="expected `object`, got `null`"):
         load_scenario(str(tmp_path / "b.yaml"))
 
 
