@@ -116,7 +116,7 @@ LANE_CHANGING_SCENES = LaneChangingRange(
     mixed_graphs=(
         GraphShare(share=0.4, edges=MERGE),
         _graph(0.1, _20=_FOLLOW, _01=_YIELD),
-        _graph(0.1, _20=_FOLLOW, _10=_CUT_IN, _21=_FOLLOW),
+        _graph(0.1, _10=_CUT_IN, _01=_YIELD),
         _graph(0.1, _10=_FOLLOW, _21=_FOLLOW),
         _graph(0.1, _10=_YIELD, _21=_FOLLOW),
         _graph(0.1, _21=_FOLLOW),

@@ -17,14 +17,16 @@ from jaxtyping import Float
 from torch import Tensor
 
 from gri.data.synthetic import Scenes, returns
-from gri.graph import pairs
-from gri.laplace import Expansion, combination_prior, edge_posterior, expand, log_likelihood, scene_prior
+from gri.dynamics import POINT_MASS_1D, Dynamics
+from gri.graph import InteractionGraph, pairs
+from gri.laplace import Expansion, combination_prior, expand, log_likelihood, marginals, scene_prior
 from gri.model import RelationalModel
 from gri.neural import edge_ends
 from gri.objectives.common import Descent, batches, reconstruction_loss
 from gri.objectives.graphs import posterior_by_policy
 from gri.progress import Progress, silent
 from gri.rewards import StructuredReward
+from gri.riccati import StepExpansion, expand_steps, log_likelihood_by_steps
 from gri.rollout import rollout
 
 
@@ -44,6 +46,7 @@ class Shifts(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
     """How starts are shifted, half of them, before the policy maximises the reward from there; uniform ranges."""
 
     position: tuple[float, float] = (0.0, 12.0)  # [m]
+    lateral: tuple[float, float] = (0.0, 0.0)  # [m]
     speed: tuple[float, float] = (0.0, 0.0)  # [m/s]
     acceleration: tuple[float, float] = (0.0, 0.0)  # [m/s^2]
 
@@ -54,6 +57,10 @@ class GroundedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     no_edge_prior: float = 0.9
     ahead_only: bool = False
     """Nobody follows a vehicle that ends up behind it; else only the reward says so."""
+    likelihood: Literal["dense", "stepwise"] = "dense"
+    """Laplace's approximation by one matrix over a window's actions, or over whole scenes in linear time."""
+    graph_scenes: int | None = None
+    """The posterior over graphs is computed for so many scenes, and the encoder learns from these; None: all."""
     horizon: int = 19
     """Actions that a driver is taken to foresee when the likelihood of graphs is computed."""
     stride: int = 10
@@ -91,11 +98,12 @@ def train_grounded(
     """Train the model and the reward in place."""
     generator = torch.Generator().manual_seed(seed)
     fit_reward(model, reward, scenes, settings, generator, progress)
+    judged = scenes[: settings.graph_scenes]
     if settings.judge == "policy":
         plan(model, reward, scenes, settings, generator, progress)
-        posterior = posterior_by_policy(model, reward, scenes, _prior(reward, scenes, settings))
+        posterior = posterior_by_policy(model, reward, judged, _prior(reward, judged, settings))
     else:
-        posterior = scene_posterior(model, reward, scenes, settings, progress)
+        posterior = scene_posterior(model, reward, judged, settings, progress)
     fit_encoder_and_policy(model, reward, scenes, posterior, settings, generator, progress)
 
 
@@ -114,7 +122,7 @@ def fit_reward(
     descent = Descent(reward.parameters(), settings.reward_rate, settings.reward_updates)
     total = settings.reward_updates
     for update, batch in enumerate(batches(len(chosen), settings.reward_batch, total, generator)):
-        evidence = torch.logsumexp(log_likelihood(reward, expansion[batch]) + prior[batch], -1).mean()
+        evidence = torch.logsumexp(_log_likelihood(reward, expansion[batch]) + prior[batch], -1).mean()
         descent.step(-evidence)
         progress("reward", update + 1, total, float(evidence.detach()))
 
@@ -131,7 +139,8 @@ def scene_posterior(
     parts = []
     for start in range(0, len(scenes), _CHUNK):
         part = scenes[start : start + _CHUNK]
-        parts.append(edge_posterior(reward, _expand(model, reward, part, settings), _prior(reward, part, settings)))
+        likelihood = _log_likelihood(reward, _expand(model, reward, part, settings))
+        parts.append(marginals(reward, likelihood, _prior(reward, part, settings)))
         progress("graph", min(start + _CHUNK, len(scenes)), len(scenes), 0.0)
     return torch.cat(parts)
 
@@ -140,10 +149,22 @@ _CHUNK = 64  # scenes whose Hessians are held at once
 
 
 @torch.no_grad()
-def _expand(model: RelationalModel, reward: StructuredReward, scenes: Scenes, settings: GroundedSettings) -> Expansion:
+def _expand(
+    model: RelationalModel, reward: StructuredReward, scenes: Scenes, settings: GroundedSettings
+) -> Expansion | StepExpansion:
     parts = [scenes[start : start + _CHUNK] for start in range(0, len(scenes), _CHUNK)]
+    if settings.likelihood == "stepwise":
+        return StepExpansion.concatenate([expand_steps(model, reward, p.state, p.action) for p in parts])
     horizon, stride = settings.horizon, settings.stride
     return Expansion.concatenate([expand(model, reward, p.state, p.action, horizon, stride) for p in parts])
+
+
+def _log_likelihood(reward: StructuredReward, expansion: Expansion | StepExpansion) -> Float[Tensor, "B R C"]:
+    match expansion:
+        case Expansion():
+            return log_likelihood(reward, expansion)
+        case StepExpansion():
+            return log_likelihood_by_steps(reward, expansion)
 
 
 def _prior(reward: StructuredReward, scenes: Scenes, settings: GroundedSettings) -> Float[Tensor, "B E K"]:
@@ -175,20 +196,27 @@ def fit_encoder_and_policy(
     generator: torch.Generator,
     progress: Progress = silent,
 ) -> None:
-    """One update of each per batch; neither sees the other's gradient."""
+    """One update of each per batch; neither sees the other's gradient. The posterior is that of the first scenes."""
     assert model.encoder is not None, "grounded training infers graphs; give the model an encoder"
     to_encoder = Descent(model.encoder.parameters(), settings.encoder_rate, settings.updates)
     to_policy = Descent(model.decoder.parameters(), settings.policy_rate, settings.updates)
     for update, chosen in enumerate(batches(len(scenes), settings.batch, settings.updates, generator)):
         batch = scenes[chosen]
-        seen = augment(batch.state, settings.augmentation, model.history_steps, generator)
-        graph = model.infer(seen)
-        to_encoder.step(-(posterior[chosen] * graph.logits.log_softmax(-1)).sum(-1).mean())
+        graph = _look(model, batch, settings, generator)
+        known = chosen % len(posterior)
+        shown = graph if torch.equal(known, chosen) else _look(model, scenes[known], settings, generator)
+        to_encoder.step(-(posterior[known] * shown.logits.log_softmax(-1)).sum(-1).mean())
         driven = rollout(model, batch.start, graph.sample(generator).detach(), batch.leader)
         loss = reconstruction_loss(driven.state, batch.state, model.dynamics)
         value = grounded_return(model, reward, scenes, settings, settings.return_batch, generator)
         to_policy.step(loss - settings.return_weight * value)
         progress("encoder and policy", update + 1, settings.updates, float(loss.detach()))
+
+
+def _look(
+    model: RelationalModel, scenes: Scenes, settings: GroundedSettings, generator: torch.Generator
+) -> InteractionGraph:
+    return model.infer(augment(scenes.state, settings.augmentation, model.history_steps, generator, model.dynamics))
 
 
 def grounded_return(
@@ -201,7 +229,7 @@ def grounded_return(
 ) -> Float[Tensor, ""]:
     """Mean learned reward per step under random graphs, half of the starts shifted; each vehicle for itself."""
     batch = scenes[torch.randint(0, len(scenes), (count,), generator=generator)]
-    start = shift(batch.start, settings.shifts, generator)
+    start = shift(batch.start, settings.shifts, generator, model.dynamics)
     graph = random_graphs(count, start.shape[1], len(reward.vocabulary), generator)
     if settings.return_headway is not None:
         graph = hold_out(graph, start, settings.return_headway)
@@ -223,24 +251,36 @@ def hold_out(graph: Float[Tensor, "B E K"], start: Float[Tensor, "B N D"], headw
     return torch.where(near[..., None], none, graph)
 
 
-def shift(start: Float[Tensor, "B N D"], shifts: Shifts, generator: torch.Generator) -> Float[Tensor, "B N D"]:
+def shift(
+    start: Float[Tensor, "B N D"],
+    shifts: Shifts,
+    generator: torch.Generator,
+    dynamics: Dynamics = POINT_MASS_1D,
+) -> Float[Tensor, "B N D"]:
     """Half of the starts with every driven vehicle moved by its own amount; speeds stay at or above zero."""
-    ranges = torch.tensor([shifts.position, shifts.speed, shifts.acceleration])
-    amount = torch.rand(*start.shape[:2], 3, generator=generator) * (ranges[:, 1] - ranges[:, 0]) + ranges[:, 0]
+    by_feature = {"x": shifts.position, "y": shifts.lateral, "v": shifts.speed, "a": shifts.acceleration}
+    ranges = torch.tensor([by_feature.get(feature, (0.0, 0.0)) for feature in dynamics.state])
+    amount = torch.rand(start.shape, generator=generator) * (ranges[:, 1] - ranges[:, 0]) + ranges[:, 0]
     amount[:, -1] = 0
     amount[len(amount) // 2 :] = 0
+    speed = dynamics.index("v")
     moved = start + amount
-    return torch.cat([moved[..., :1], moved[..., 1:2].clamp(min=0), moved[..., 2:]], -1)
+    return torch.cat([moved[..., :speed], moved[..., speed : speed + 1].clamp(min=0), moved[..., speed + 1 :]], -1)
 
 
 def augment(
-    state: Float[Tensor, "B N T D"], augmentation: Augmentation, history_steps: int, generator: torch.Generator
+    state: Float[Tensor, "B N T D"],
+    augmentation: Augmentation,
+    history_steps: int,
+    generator: torch.Generator,
+    dynamics: Dynamics = POINT_MASS_1D,
 ) -> Float[Tensor, "B N S D"]:
     """Histories for the encoder: a window of the scene, noise, and headways stretched about their mean."""
     if augmentation.window:
         first = int(torch.randint(0, state.shape[2] - history_steps + 1, (1,), generator=generator))
         state = state[:, :, first : first + history_steps]
-    position, speed = state[..., 0], state[..., 1]
+    v = dynamics.index("v")
+    position, speed = state[..., 0], state[..., v]
     headway = (position[:, 1:] - position[:, :-1]).mean(-1)  # Shape: (B, N−1), of the row from back to front
     low, high = augmentation.stretch
     factor = low + (high - low) * torch.rand(headway.shape, generator=generator)
@@ -248,4 +288,4 @@ def augment(
     position = position - torch.nn.functional.pad(back, (0, 1))[..., None]
     position = position + augmentation.position_noise * torch.randn(position.shape, generator=generator)
     speed = speed + augmentation.speed_noise * torch.randn(speed.shape, generator=generator)
-    return torch.cat([position[..., None], speed[..., None], state[..., 2:]], -1)
+    return torch.cat([position[..., None], state[..., 1:v], speed[..., None], state[..., v + 1 :]], -1)
