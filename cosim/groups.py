@@ -72,7 +72,7 @@ def _chains(history: Sequence[Snapshot], rule: CarFollowing, inside: Set[str]) -
         if set(ids) <= inside
         and all(at.get(ids[0]) == ids[1] and at.get(ids[1]) == ids[2] for at in leaders)
         and all(_binding(now, rows[behind], rows[ahead], rule) for behind, ahead in pairwise(ids))
-        and _steady(history, ids)
+        and _steady(history, ids, rule.max_speed_difference)
     ]
 
 
@@ -93,11 +93,13 @@ def _binding(now: Snapshot, behind: int, ahead: int, rule: CarFollowing) -> bool
     return rule.min_gap <= gap <= min(rule.max_gap, rule.max_time_gap * v) and v >= rule.min_speed
 
 
-def _steady(history: Sequence[Snapshot], ids: Sequence[str]) -> bool:
-    """Whether none of the vehicles changed its lane during the history."""
-    rows = [snapshot.rows(ids) for snapshot in history]
-    d = np.array([[snapshot.d[row[v]] for v in ids] for snapshot, row in zip(history, rows, strict=True)])
-    return bool((np.abs(d - d[-1]) < SAME_LANE).all())
+def _steady(history: Sequence[Snapshot], ids: Sequence[str], max_speed_difference: float) -> bool:
+    """Whether all vehicles kept their lane, and neighbours about the same speed, during the history."""
+    rows = [[snapshot.rows(ids)[vehicle] for vehicle in ids] for snapshot in history]
+    d = np.array([snapshot.d[row] for snapshot, row in zip(history, rows, strict=True)])
+    v = np.array([snapshot.v[row] for snapshot, row in zip(history, rows, strict=True)])
+    in_step = np.abs(np.diff(v, axis=1)) <= max_speed_difference
+    return bool((np.abs(d - d[-1]) < SAME_LANE).all() and in_step.all())
 
 
 def _merges(history: Sequence[Snapshot], rule: Merge, inside: Set[str]) -> list[tuple[str, str, str]]:

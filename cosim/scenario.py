@@ -105,12 +105,17 @@ class Road(Spec, frozen=True, kw_only=True):
 
 
 class CarFollowing(Spec, frozen=True, kw_only=True, tag_field="rule", tag="car_following"):
-    """Vehicle 0 right behind 1, right behind 2, in one lane all through the history (net gaps in m, time gaps in s)."""
+    """Vehicle 0 right behind 1, right behind 2, in one lane all through the history (net gaps in m, time gaps in s).
+
+    Gaps count at the end of the history, speed differences [m/s] between neighbours all through it: a vehicle that is
+    still catching up, say from a ramp, does not follow yet.
+    """
 
     min_gap: NonNegative = 2.0
     max_gap: Positive = 45.0
     max_time_gap: Positive = 2.5
     min_speed: NonNegative = 1.0
+    max_speed_difference: Positive = 4.0
 
 
 class Merge(Spec, frozen=True, kw_only=True, tag_field="rule", tag="merge"):

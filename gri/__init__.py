@@ -1,11 +1,18 @@
-"""Grounded Relational Inference: graphs of relations between vehicles, and policies that obey them."""
+"""Grounded Relational Inference: graphs of relations between vehicles, and policies that obey them.
 
-from gri.checkpoint import load, save
-from gri.errors import InputError
-from gri.graph import EdgeType, InteractionGraph
-from gri.model import ModelConfig, RelationalModel
-from gri.policy import ConstantVelocity, IntelligentDriver, Policy, PolicyState
-from gri.types import Trajectory
+Names are imported when they are first used: commands that need no model do not wait for torch.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from gri.checkpoint import load, save
+    from gri.errors import InputError
+    from gri.graph import EdgeType, InteractionGraph
+    from gri.model import ModelConfig, RelationalModel
+    from gri.policy import ConstantVelocity, IntelligentDriver, Policy, PolicyState
+    from gri.types import Trajectory
 
 __all__ = [
     "ConstantVelocity",
@@ -21,3 +28,19 @@ __all__ = [
     "load",
     "save",
 ]
+
+_HOMES = {
+    "gri.checkpoint": ("load", "save"),
+    "gri.errors": ("InputError",),
+    "gri.graph": ("EdgeType", "InteractionGraph"),
+    "gri.model": ("ModelConfig", "RelationalModel"),
+    "gri.policy": ("ConstantVelocity", "IntelligentDriver", "Policy", "PolicyState"),
+    "gri.types": ("Trajectory",),
+}
+
+
+def __getattr__(name: str) -> Any:
+    for module, names in _HOMES.items():
+        if name in names:
+            return getattr(import_module(module), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

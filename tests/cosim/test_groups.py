@@ -81,6 +81,14 @@ def test_a_vehicle_that_changed_its_lane_is_not_taken():
     assert not pick([before, now])
 
 
+def test_a_vehicle_that_is_still_catching_up_is_not_taken():
+    before = traffic(("x", 0, 0), ("y", 20, 0), ("z", 40, 0))
+    now = traffic(("x", 10, 0), ("y", 30, 0), ("z", 50, 0))
+    slow = replace(before, v=np.array([5.9, 10.0, 10.0]))
+    assert pick([before, now])
+    assert not pick([slow, now])
+
+
 def test_a_vehicle_that_was_not_there_is_not_taken():
     now = traffic(("x", 10, 0), ("y", 30, 0), ("z", 50, 0))
     before = traffic(("x", 0, 0), ("y", 20, 0))
