@@ -16,7 +16,7 @@ from gri.objectives.gri import GroundedSettings
 from gri.objectives.supervised import SupervisedSettings
 from gri.train import Objective, TrainConfig, train
 
-DATA = DataConfig(range="paper", graphs="mixed", train=96, validation=8, test=64, expert_updates=100)
+DATA = DataConfig(range="paper", graphs="one", train=96, validation=8, test=64, expert_updates=80)
 TINY = DataConfig(range="us101", graphs="mixed", train=12, validation=4, test=4, expert_updates=1)
 
 
@@ -40,7 +40,7 @@ def splits(data: DataConfig, folder: Path) -> Splits:
 
 
 def test_supervised_training_learns(folder: Path):
-    settings = SupervisedSettings(updates=80, batch=32)
+    settings = SupervisedSettings(updates=90, batch=16, learning_rate=1e-2)
     untrained = train(config(SupervisedSettings(updates=1), DATA), splits(DATA, folder), 0)
     trained = train(config(settings, DATA), splits(DATA, folder), 0)
     test = splits(DATA, folder).test
@@ -48,7 +48,9 @@ def test_supervised_training_learns(folder: Path):
 
 
 def test_grounded_training_finds_graphs_without_labels(folder: Path):
-    settings = GroundedSettings(updates=120, batch=32, return_batch=16, reward_updates=30, encoder_rate=3e-3)
+    settings = GroundedSettings(
+        updates=60, batch=16, return_batch=4, reward_updates=30, policy_rate=1e-2, encoder_rate=3e-3
+    )
     trained = train(config(settings, DATA), splits(DATA, folder), 0)
     result = evaluate(trained.model, splits(DATA, folder).test)
     empty = 1 - float((splits(DATA, folder).test.graph == 1).float().mean())
