@@ -99,13 +99,12 @@ def edge_frequencies(scenario: rows.Scenario, mine: Sequence[Job], cache: Path) 
         if graphs:
             found.setdefault(job.row.name, []).append(np.array(graphs["frequency"]))
     kinds = jobs.vocabulary_of(mine[0])
-    figure, axes = plt.subplots(
-        len(found), len(kinds), figsize=(1.9 * len(kinds) + 1.2, 1.75 * len(found) + 0.6), squeeze=False
-    )
-    for line, (name, matrices) in zip(axes, found.items(), strict=True):
-        for axis, kind, matrix in zip(line, kinds, np.mean(matrices, 0), strict=True):
-            _matrix(axis, matrix, f"{name}: {kind}")
-    figure.suptitle(f"{scenario.title}: share of test scenes", fontsize=9)
+    size = (1.55 * len(found) + 0.3, 1.75 * len(kinds) + 0.4)
+    figure, axes = plt.subplots(len(kinds), len(found), figsize=size, squeeze=False)
+    for column, (name, matrices) in zip(axes.T, found.items(), strict=True):
+        for axis, kind, matrix in zip(column, kinds, np.mean(matrices, 0), strict=True):
+            _matrix(axis, matrix, f"{name}\n{kind}")
+    figure.suptitle(f"{scenario.title}: share of test scenes with the type", fontsize=9)
     figure.tight_layout()
     return figure
 
@@ -127,6 +126,7 @@ def _matrix(axis: Axes, matrix: np.ndarray, title: str) -> None:
     axis.set_title(title, fontsize=7)
     axis.set_xticks(range(len(matrix)))
     axis.set_yticks(range(len(matrix)))
+    axis.tick_params(labelsize=7, length=2)
     axis.set_xlabel("sender", fontsize=7)
     axis.set_ylabel("receiver", fontsize=7)
     axis.spines[:].set_visible(False)
@@ -207,7 +207,8 @@ def densities(job: Job, cache: Path, scenes: Path, samples: int = 400) -> Figure
         _density(axis, points)
         axis.plot(recorded[:, 0], recorded[:, 1], color="blue", lw=1.2, label="recorded")
         axis.set_ylabel(UNITS["y" if across else "v"])
-        axis.set_title(f"vehicle {vehicle}", fontsize=9)
+        axis.set_title(f"vehicle {vehicle} (colour: square root of the density)", fontsize=9)
+        axis.autoscale()
     axes[0].legend(frameon=False)
     axes[-1].set_xlabel(UNITS["x"])
     figure.tight_layout()
@@ -228,7 +229,8 @@ def _density(axis: Axes, points: np.ndarray, cells: int = 160) -> None:
         counts = np.moveaxis(np.tensordot(kernel, counts, (1, dimension)), 0, dimension)
     shown = counts.T / counts.max()
     extent = (edges[0][0], edges[0][-1], edges[1][0], edges[1][-1])
-    axis.imshow(shown, origin="lower", extent=extent, aspect="auto", cmap="Reds", vmin=0, vmax=1)
+    axis.imshow(np.sqrt(shown), origin="lower", extent=extent, aspect="auto", cmap="Reds", vmin=0, vmax=1)
+    axis.set_facecolor(matplotlib.colormaps["Reds"](0.0))
 
 
 def example(scenario: rows.Scenario, mine: Sequence[Job], cache: Path) -> Figure:

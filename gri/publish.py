@@ -19,6 +19,13 @@ Ours: mean over seeds ± standard deviation over test scenes (mean over seeds) [
 meaning are renamed for the accuracy, "none" excepted. Absolute errors depend on scene constants and on the noise of
 the expert, of which the paper prints none: compare the ratios of rows.
 """
+OOD_NOTES = """\
+Only the edge 1 -> 0, "follow", is left; vehicle 0 starts at the headway in the head of the column; success: at least
+2 m behind vehicle 1 after T steps. GRI's training maximises the learned reward from shifted starts as well, which cover
+these headways, without demonstrations there; "tested range held out" does not react to anything nearer than the
+training scenes' least headway in those roll-outs. The oracle is the open-loop optimum of the true reward over the same
+T steps; policies can pass it, as success is not what it maximises.
+"""
 FRONTS = {
     Front.CONSTANT_SPEED: "Vehicle 1 keeps its speed",
     Front.POLICY: "Vehicle 1 is driven by the same policy, without a vehicle to heed",
@@ -57,7 +64,8 @@ def _write(plan: Plan, frames: dict[str, pd.DataFrame], text: str) -> list[Path]
 
 def _scores(plan: Plan, wanted: Sequence[Job]) -> list[Path]:
     scores = tables.score_rows(wanted, plan.cache)
-    parts = [f"# {plan.target}: {plan.seeds} seeds, {plan.scenes} test scenes\n", NOTES]
+    scenes = ", ".join(str(count) for count in sorted(scores[scores["metric"] == "rmse_x"]["scenes"].unique()))
+    parts = [f"# {plan.target}: {plan.seeds} seeds, {scenes} test scenes\n", NOTES]
     for scenario in _scenarios(wanted):
         parts += [f"## {scenario.title}\n", tables.markdown_table(scores, scenario) + "\n"]
         weights = tables.markdown_weights(wanted, plan.cache, scenario)
@@ -67,7 +75,7 @@ def _scores(plan: Plan, wanted: Sequence[Job]) -> list[Path]:
 
 
 def _curves(plan: Plan, wanted: Sequence[Job], curves: pd.DataFrame) -> list[Path]:
-    parts = [f"# Out of distribution: success rate [%], mean over {plan.seeds} seeds\n"]
+    parts = [f"# Out of distribution: success rate [%], mean over {plan.seeds} seeds\n", OOD_NOTES]
     for scenario in _scenarios(wanted):
         for front, title in FRONTS.items():
             parts += [f"## {scenario.title}. {title}\n", tables.markdown_curves(curves, scenario, front) + "\n"]

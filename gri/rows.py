@@ -5,6 +5,7 @@ whose file does not exist is left out, so that a scenario grows by adding files.
 """
 
 from dataclasses import dataclass
+from functools import cache
 
 import msgspec
 
@@ -106,6 +107,14 @@ class Printed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     accuracy: tuple[float, float] | None = None
 
 
+class Paper(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The printed rows of the two synthetic scenarios."""
+
+    car_following: dict[str, Printed]
+    lane_changing: dict[str, Printed]
+
+
+@cache
 def printed() -> dict[str, dict[str, Printed]]:
     """The paper's figures by scenario and row."""
-    return read_yaml(resources.PACKAGE / "paper.yaml", dict[str, dict[str, Printed]])
+    return msgspec.structs.asdict(read_yaml(resources.PACKAGE / "paper.yaml", Paper))

@@ -32,7 +32,7 @@ def categorical_kl(logits: Float[Tensor, "B E K"], prior: Float[Tensor, " K"]) -
 
 
 class Bottleneck(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The constraint E KL[q(z|τ) || p(z)] ≤ I_c and how its multiplier β is found (docs/decisions/008-beta.md)."""
+    """The constraint E KL[q(z|τ) || p(z)] ≤ I_c and how its multiplier β is found (docs/decisions/005-beta.md)."""
 
     form: Literal["printed", "accumulating"] = "printed"
     """β ← max(0, α·(KL − I_c)) as printed in Sec. V-B, or β ← max(0, β + α·(KL − I_c)), dual ascent."""
