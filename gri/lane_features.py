@@ -22,7 +22,7 @@ Value = Float[Tensor, "*batch"]
 
 
 class GoalForm(StrEnum):
-    """How g_goal reads the wanted headway (docs/decisions)."""
+    """How g_goal reads the wanted headway (docs/decisions/010-yield-goal.md)."""
 
     ONE_SIDED = "one_sided"
     """max(Δx^yield − (x_i − x_j), 0)²: being closer costs."""

@@ -8,6 +8,9 @@ first). With the costs C_t, c_t of step t, the second and first derivatives of �
     Q = C_t + FᵀVF,  q = c_t + Fᵀv,  F = [A_t B_t],
     log|−H| += log|Q_uu|,  gᵀH⁻¹g −= q_uᵀQ_uu⁻¹q_u,
     V ← Q_xx − Q_xu Q_uu⁻¹ Q_ux,  v ← q_x − Q_xu Q_uu⁻¹ q_u.
+
+All features are squares, f = r², and their curvature is taken as 2∇r∇rᵀ (Gauss-Newton). What this leaves out,
+2r∇²r, vanishes where the wish is fulfilled; elsewhere it may make −H indefinite, which would need a remedy.
 """
 
 from collections.abc import Callable
@@ -28,22 +31,24 @@ from gri.rewards import StructuredReward
 class StepExpansion:
     """Derivatives of every feature at every step of each driven vehicle by its own (x_t, u_t), P = D + A values.
 
-    M counts the features: those of the vehicle alone, then for every sender in index order those of every
-    type. `moves` is F = [A_t B_t].
+    M counts the features f = r²: those of the vehicle alone, then for every sender in index order those of
+    every type. `moves` is F = [A_t B_t].
     """
 
     gradient: Float[Tensor, "B R T M P"]
-    hessian: Float[Tensor, "B R T M P P"]
+    """∇f."""
+    residual: Float[Tensor, "B R T M P"]
+    """∇r."""
     moves: Float[Tensor, "B R T D P"]
 
     def __getitem__(self, scenes: Tensor | slice) -> "StepExpansion":
-        return StepExpansion(self.gradient[scenes], self.hessian[scenes], self.moves[scenes])
+        return StepExpansion(self.gradient[scenes], self.residual[scenes], self.moves[scenes])
 
     @classmethod
     def concatenate(cls, parts: list["StepExpansion"]) -> "StepExpansion":
         return cls(
             torch.cat([p.gradient for p in parts]),
-            torch.cat([p.hessian for p in parts]),
+            torch.cat([p.residual for p in parts]),
             torch.cat([p.moves for p in parts]),
         )
 
@@ -56,10 +61,10 @@ def expand_steps(
 ) -> StepExpansion:
     """Expansion of the features around recorded trajectories; `model` lends its dynamics."""
     vehicles = [_expand_vehicle(reward, state[:, :, :-1], action[:, j], j) for j in range(action.shape[1])]
-    gradient, hessian = (torch.stack(parts, 1) for parts in zip(*vehicles, strict=True))
+    gradient, residual = (torch.stack(parts, 1) for parts in zip(*vehicles, strict=True))
     driven = state[:, : action.shape[1], :-1]
     over = vmap(vmap(vmap(jacrev(model.step, argnums=(0, 1)))))
-    return StepExpansion(gradient, hessian, torch.cat(over(driven, action), -1))
+    return StepExpansion(gradient, residual, torch.cat(over(driven, action), -1))
 
 
 def _expand_vehicle(reward: StructuredReward, state: Tensor, action: Tensor, j: int) -> tuple[Tensor, Tensor]:
@@ -79,31 +84,36 @@ def _expand_vehicle(reward: StructuredReward, state: Tensor, action: Tensor, j: 
     return torch.cat([first for first, _ in parts], 2), torch.cat([second for _, second in parts], 2)
 
 
-@torch.enable_grad()
 def derivatives(
     features: Callable[[Tensor], Tensor], point: Float[Tensor, "*batch P"]
-) -> tuple[Float[Tensor, "*batch M P"], Float[Tensor, "*batch M P P"]]:
-    """First and second derivatives of functions that act on every point by itself."""
+) -> tuple[Float[Tensor, "*batch M P"], Float[Tensor, "*batch M P"]]:
+    """∇f, and ∇r = ∇f / 2√f, of functions f = r² that act on every point by itself.
+
+    Where f is 0, so is ∇f, whatever ∇r is; therefore ∇r is read at a point a hair's breadth away.
+    """
+    slope = _slopes(features, point)[1]
+    value, near = _slopes(features, point + _HAIR)
+    return slope, near / (2 * value.clamp(min=1e-30).sqrt())[..., None]
+
+
+_HAIR = 1e-3
+
+
+@torch.enable_grad()
+def _slopes(
+    features: Callable[[Tensor], Tensor], point: Float[Tensor, "*batch P"]
+) -> tuple[Float[Tensor, "*batch M"], Float[Tensor, "*batch M P"]]:
     point = point.detach().requires_grad_(True)
-    slopes, curvatures = [], []
-    for value in features(point).unbind(-1):
-        (slope,) = torch.autograd.grad(value.sum(), point, create_graph=True)
-        rows = [
-            torch.autograd.grad(slope[..., p].sum(), point, retain_graph=True)[0]
-            if slope.requires_grad
-            else torch.zeros_like(point)
-            for p in range(point.shape[-1])
-        ]
-        slopes.append(slope.detach())
-        curvatures.append(torch.stack(rows, -2))
-    return torch.stack(slopes, -2), torch.stack(curvatures, -3)
+    values = features(point)
+    slopes = [torch.autograd.grad(value.sum(), point, retain_graph=True)[0] for value in values.unbind(-1)]
+    return values.detach(), torch.stack(slopes, -2)
 
 
 def log_likelihood_by_steps(reward: StructuredReward, expansion: StepExpansion) -> Float[Tensor, "B R C"]:
     """log p(u_j | z_j) of each driven vehicle under every combination of its incoming edges.
 
-    Differentiable in the weights and the rationality α that multiplies the reward. Where Q_uu is not positive
-    definite it is damped by max(0, 0.05·α − λ_min).
+    Differentiable in the weights and the rationality α that multiplies the reward. The costs of actions keep
+    Q_uu positive definite.
     """
     weights = reward.weights("node"), torch.cat([reward.weights(k) for k in reward.terms.edge])
     b, r, steps, features, size = expansion.gradient.shape
@@ -111,7 +121,7 @@ def log_likelihood_by_steps(reward: StructuredReward, expansion: StepExpansion) 
     alpha = reward.log_alpha.exp()
     chosen = alpha * torch.cat([weights[0], *[weights[1]] * senders]) * combinations(reward, senders)[0]
     slopes = torch.einsum("cm,brtmp->tbrcp", chosen, expansion.gradient)
-    curved = torch.einsum("cm,brtmpq->tbrcpq", chosen, expansion.hessian)
+    curved = 2 * torch.einsum("cm,brtmp,brtmq->tbrcpq", chosen, expansion.residual, expansion.residual)
     d = expansion.moves.shape[3]
     value, slope = slopes.new_zeros(b, r, len(chosen), d, d), slopes.new_zeros(b, r, len(chosen), d)
     total = slopes.new_zeros(b, r, len(chosen))
@@ -119,7 +129,7 @@ def log_likelihood_by_steps(reward: StructuredReward, expansion: StepExpansion) 
         moves = expansion.moves[:, :, t]
         q2 = curved[t] + _through(value, moves)
         q1 = slopes[t] + slope @ moves
-        inverse, log_det = _inverse(q2[..., d:, d:], 0.05 * float(alpha.detach()))
+        inverse, log_det = _inverse(q2[..., d:, d:])
         gain = _product(q2[..., :d, d:], inverse)
         share = _product(q1[..., None, d:], inverse)[..., 0, :]
         total = total - 0.5 * (share * q1[..., d:]).sum(-1) + 0.5 * log_det
@@ -140,12 +150,9 @@ def _product(left: Float[Tensor, "*batch I K"], right: Float[Tensor, "*batch K J
     return torch.stack(parts).sum(0)
 
 
-def _inverse(matrix: Float[Tensor, "*batch 2 2"], floor: float) -> tuple[Float[Tensor, "*batch 2 2"], Tensor]:
-    """Inverse and log-determinant of symmetric 2 × 2 matrices whose eigenvalues are first lifted to the floor."""
+def _inverse(matrix: Float[Tensor, "*batch 2 2"]) -> tuple[Float[Tensor, "*batch 2 2"], Float[Tensor, "*batch"]]:
+    """Inverse and log-determinant of positive definite 2 × 2 matrices."""
     a, b, d = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 1]
-    mean, radius = 0.5 * (a + d), (0.25 * (a - d) ** 2 + b**2).clamp(min=1e-12).sqrt()
-    lift = (floor - (mean - radius)).clamp(min=0).detach()
-    a, d = a + lift, d + lift
     determinant = a * d - b * b
     adjugate = torch.stack([torch.stack([d, -b], -1), torch.stack([-b, a], -1)], -2)
     return adjugate / determinant[..., None, None], determinant.log()

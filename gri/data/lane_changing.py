@@ -94,7 +94,7 @@ LANE_CHANGING_SCENES = LaneChangingRange(
     history_steps=30,
     starts=MergeStarts(headway=(8.0, 12.0), lag=(-2.0, 2.0), speed=(4.0, 6.0), offset=0.3),
     reward=LaneRewardConfig(
-        constants=LaneConstants(following=FollowingConstants(zeta=3.0)),
+        constants=LaneConstants(following=FollowingConstants(zeta=3.0), yield_headway=7.0),
         temperature=0.1,
     ),
     weights={
@@ -108,8 +108,8 @@ LANE_CHANGING_SCENES = LaneChangingRange(
             "lane": 2.0,
         },
         "follow": {"idm": 3.0, "dist": 5.0, "lat": 2.0},
-        "yield": {"yield": 2.0, "dist": 5.0},
-        "cut_in": {"goal": 2.0, "dist": 5.0},
+        "yield": {"yield": 3.0, "dist": 5.0},
+        "cut_in": {"goal": 4.0, "dist": 5.0},
     },
     scale=LANE_CHANGING_PAPER,
     one_graph=(GraphShare(share=1.0, edges=MERGE),),

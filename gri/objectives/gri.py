@@ -137,22 +137,24 @@ def scene_posterior(
 ) -> Float[Tensor, "S E K"]:
     """p(z_ij | u) of every scene under the reward as it stands."""
     parts = []
-    for start in range(0, len(scenes), _CHUNK):
-        part = scenes[start : start + _CHUNK]
+    chunk = _CHUNK[settings.likelihood]
+    for start in range(0, len(scenes), chunk):
+        part = scenes[start : start + chunk]
         likelihood = _log_likelihood(reward, _expand(model, reward, part, settings))
         parts.append(marginals(reward, likelihood, _prior(reward, part, settings)))
-        progress("graph", min(start + _CHUNK, len(scenes)), len(scenes), 0.0)
+        progress("graph", min(start + chunk, len(scenes)), len(scenes), 0.0)
     return torch.cat(parts)
 
 
-_CHUNK = 64  # scenes whose Hessians are held at once
+_CHUNK = {"dense": 64, "stepwise": 256}  # scenes whose Hessians are held at once
 
 
 @torch.no_grad()
 def _expand(
     model: RelationalModel, reward: StructuredReward, scenes: Scenes, settings: GroundedSettings
 ) -> Expansion | StepExpansion:
-    parts = [scenes[start : start + _CHUNK] for start in range(0, len(scenes), _CHUNK)]
+    chunk = _CHUNK[settings.likelihood]
+    parts = [scenes[start : start + chunk] for start in range(0, len(scenes), chunk)]
     if settings.likelihood == "stepwise":
         return StepExpansion.concatenate([expand_steps(model, reward, p.state, p.action) for p in parts])
     horizon, stride = settings.horizon, settings.stride

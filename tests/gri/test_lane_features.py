@@ -66,7 +66,7 @@ def test_g_goal_punishes_being_too_close_and_the_printed_form_being_too_far():
 
 
 def test_whoever_is_still_in_front_of_the_vehicle_it_yields_to_is_drawn_back():
-    """max(x_i − x_j, 0) would end the slope there (docs/decisions)."""
+    """max(x_i − x_j, 0) would end the slope there (docs/decisions/010-yield-goal.md)."""
     assert value(lane.g_goal(BEHIND, AHEAD, CONSTANTS)) == (15.0 + 12.0) ** 2
 
 

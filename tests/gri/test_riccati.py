@@ -1,11 +1,14 @@
+from math import log, pi
+
 import pytest
 import torch
 
 from gri.data.lane_changing import LANE_CHANGING_SCENES
 from gri.data.synthetic import Scenes, make_scenes, model_config, true_reward
 from gri.decoder import DecoderConfig
-from gri.laplace import expand, log_likelihood
+from gri.laplace import combinations, sensitivities
 from gri.model import RelationalModel
+from gri.rewards import StructuredReward
 from gri.riccati import StepExpansion, derivatives, expand_steps, log_likelihood_by_steps
 
 
@@ -23,37 +26,63 @@ def scenes(model: RelationalModel) -> Scenes:
     return Scenes(made.state[:, :, :13], made.action[:, :, :12], made.graph)
 
 
+def at_once(model: RelationalModel, reward: StructuredReward, scenes: Scenes, expansion: StepExpansion) -> torch.Tensor:
+    """The same quadratic model as one matrix over all actions of each vehicle."""
+    weights = torch.cat([reward.weights("node"), *[reward.weights(k) for k in reward.terms.edge] * 2])
+    chosen = reward.log_alpha.exp() * weights * combinations(reward, 2)[0]
+    results = []
+    for j in range(2):
+        moves = sensitivities(model, scenes.state[:, j, :-1], scenes.action[:, j])
+        gradient = torch.einsum("cm,btmp,btpn->bcn", chosen, expansion.gradient[:, j], moves)
+        residual = torch.einsum("btmp,btpn->btmn", expansion.residual[:, j], moves)
+        precision = 2 * torch.einsum("cm,btmn,btmk->bcnk", chosen, residual, residual)
+        solved = torch.linalg.solve(precision, gradient[..., None])[..., 0]
+        size = gradient.shape[-1]
+        value = -0.5 * (gradient * solved).sum(-1) + 0.5 * torch.logdet(precision) - 0.5 * size * log(2 * pi)
+        results.append(value)
+    return torch.stack(results, 1)
+
+
 def test_it_equals_one_matrix_over_all_actions(model: RelationalModel, scenes: Scenes):
     reward = true_reward(LANE_CHANGING_SCENES)
-    by_steps = log_likelihood_by_steps(reward, expand_steps(model, reward, scenes.state, scenes.action))
-    at_once = log_likelihood(reward, expand(model, reward, scenes.state, scenes.action, horizon=12))
+    expansion = expand_steps(model, reward, scenes.state, scenes.action)
+    by_steps = log_likelihood_by_steps(reward, expansion)
     assert by_steps.shape == (4, 2, 16)
-    torch.testing.assert_close(by_steps, at_once, rtol=1e-3, atol=0.05)
+    torch.testing.assert_close(by_steps, at_once(model, reward, scenes, expansion), rtol=1e-3, atol=0.05)
 
 
 def test_its_gradient_equals_that_of_one_matrix(model: RelationalModel, scenes: Scenes):
-    slopes = []
-    for by_steps in (True, False):
-        reward = true_reward(LANE_CHANGING_SCENES).requires_grad_(True)
-        if by_steps:
-            value = log_likelihood_by_steps(reward, expand_steps(model, reward, scenes.state, scenes.action))
-        else:
-            value = log_likelihood(reward, expand(model, reward, scenes.state, scenes.action, horizon=12))
-        slopes.append(torch.autograd.grad(value[..., 6].sum(), [reward.psi["node"], reward.log_alpha]))
-    for ours, theirs in zip(*slopes, strict=True):
-        torch.testing.assert_close(ours, theirs, rtol=1e-2, atol=0.05)
+    reward = true_reward(LANE_CHANGING_SCENES).requires_grad_(True)
+    expansion = expand_steps(model, reward, scenes.state, scenes.action)
+    learned = [reward.psi["node"], reward.psi["cut_in"], reward.log_alpha]
+    ours = torch.autograd.grad(log_likelihood_by_steps(reward, expansion).sum(), learned)
+    theirs = torch.autograd.grad(at_once(model, reward, scenes, expansion).sum(), learned)
+    for mine, other in zip(ours, theirs, strict=True):
+        torch.testing.assert_close(mine, other, rtol=1e-2, atol=0.05)
 
 
-def test_derivatives_of_a_polynomial():
-    point = torch.tensor([[2.0, 3.0]])
-    first, second = derivatives(lambda p: torch.stack([p[..., 0] ** 2 * p[..., 1], 5 * p[..., 1]], -1), point)
-    assert first.tolist() == [[[12.0, 4.0], [0.0, 5.0]]]
-    assert second.tolist() == [[[[6.0, 4.0], [4.0, 0.0]], [[0.0, 0.0], [0.0, 0.0]]]]
+def test_slopes_of_squares_and_of_their_roots():
+    """f = (x²·y, (5y)²) = r² with r = (x·√y, 5y)."""
+    point = torch.tensor([[2.0, 4.0], [1.0, 1.0]])
+    slope, residual = derivatives(lambda p: torch.stack([p[..., 0] ** 2 * p[..., 1], 25 * p[..., 1] ** 2], -1), point)
+    assert slope[0].tolist() == [[16.0, 4.0], [0.0, 200.0]]
+    torch.testing.assert_close(residual[0], torch.tensor([[2.0, 0.5], [0.0, 5.0]]), rtol=1e-3, atol=1e-3)
+
+
+def test_a_wish_fulfilled_to_the_letter_still_has_a_curvature():
+    slope, residual = derivatives(lambda p: (3 * p[..., :1]) ** 2, torch.zeros(1, 2))
+    assert slope.tolist() == [[[0.0, 0.0]]]
+    torch.testing.assert_close(residual, torch.tensor([[[3.0, 0.0]]]))
+
+
+def test_one_sided_wishes_have_none_where_they_ask_for_nothing():
+    _, residual = derivatives(lambda p: (p[..., :1] - 5).clamp(min=0) ** 2, torch.zeros(1, 2))
+    assert residual.tolist() == [[[0.0, 0.0]]]
 
 
 def test_parts_join(model: RelationalModel, scenes: Scenes):
     reward = true_reward(LANE_CHANGING_SCENES)
     whole = expand_steps(model, reward, scenes.state, scenes.action)
     joined = StepExpansion.concatenate([whole[:1], whole[1:]])
-    assert torch.equal(joined.hessian, whole.hessian)
+    assert torch.equal(joined.residual, whole.residual)
     assert torch.equal(joined.moves, whole.moves)

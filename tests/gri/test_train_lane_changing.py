@@ -1,0 +1,99 @@
+"""Small trainings on lane-changing scenes, from end to end."""
+
+from pathlib import Path
+
+import pytest
+import torch
+
+from gri import checkpoint
+from gri.data.store import DataConfig, Splits, scenes_of
+from gri.data.synthetic import model_config
+from gri.decoder import DecoderConfig
+from gri.encoder import EncoderConfig
+from gri.evaluate import evaluate, papers_graph
+from gri.graph import LANE_CHANGING
+from gri.model import RelationalModel
+from gri.objectives.airl import AdversarialSettings
+from gri.objectives.gri import GroundedSettings, Shifts
+from gri.objectives.nri import NriSettings
+from gri.objectives.supervised import SupervisedSettings
+from gri.rewards import LaneRewardConfig
+from gri.train import Objective, TrainConfig, train
+
+TINY = DataConfig(range="lane_changing", graphs="mixed", train=12, validation=4, test=4, expert_updates=1)
+ENCODER = EncoderConfig(hidden=16, heads=4, reads=(0, 1, 2, 3))
+
+
+@pytest.fixture(scope="module")
+def splits(tmp_path_factory: pytest.TempPathFactory) -> Splits:
+    return scenes_of(TINY, tmp_path_factory.mktemp("scenes"))
+
+
+def config(objective: Objective, data: DataConfig = TINY) -> TrainConfig:
+    return TrainConfig(name="small", data=data, objective=objective, decoder=DecoderConfig(hidden=16), encoder=ENCODER)
+
+
+STEPWISE = GroundedSettings(
+    likelihood="stepwise",
+    graph_scenes=8,
+    updates=2,
+    reward_updates=2,
+    batch=4,
+    return_batch=4,
+    shifts=Shifts(position=(0.0, 20.0), lateral=(-1.0, 1.0)),
+)
+OBJECTIVES = {
+    "gri": STEPWISE,
+    "airl": AdversarialSettings(updates=2, reward_updates=2, batch=4),
+    "airl_literal": AdversarialSettings(updates=2, encoder="literal", batch=4),
+    "nri": NriSettings(updates=2, batch=4),
+    "supervised": SupervisedSettings(updates=2, batch=4),
+}
+
+
+@pytest.mark.parametrize("objective", OBJECTIVES.values(), ids=list(OBJECTIVES))
+def test_every_objective_trains_and_survives_its_checkpoint(objective: Objective, splits: Splits, tmp_path: Path):
+    trained = train(config(objective), splits, seed=1)
+    checkpoint.save(tmp_path / "m.pt", trained.model, trained.reward, trained.provenance)
+    loaded = checkpoint.load(tmp_path / "m.pt")
+    result = evaluate(loaded, splits.test)
+    assert result == evaluate(trained.model, splits.test)
+    assert set(result.rmse) == {"x", "y", "v"}
+    reward = checkpoint.load_reward(tmp_path / "m.pt")
+    if trained.reward is None:
+        assert reward is None
+    else:
+        assert reward is not None
+        assert isinstance(reward.config, LaneRewardConfig)
+        torch.testing.assert_close(reward.weights("cut_in"), trained.reward.weights("cut_in"))
+
+
+def test_the_same_seed_gives_the_same_model(splits: Splits):
+    first, again = (train(config(STEPWISE), splits, seed=3).model.state_dict() for _ in range(2))
+    assert all(torch.equal(first[name], again[name]) for name in first)
+
+
+def test_a_model_knows_its_lane_but_not_where_on_the_road_it_is(splits: Splits):
+    torch.manual_seed(0)
+    model = RelationalModel(model_config(TINY.scene_range, DecoderConfig(hidden=16), ENCODER))
+    state = splits.test.state
+    along, across = (state + shift for shift in torch.tensor([[300.0, 0, 0, 0, 0, 0], [0, 3.5, 0, 0, 0, 0]]))
+    logits = model.infer(state).logits
+    torch.testing.assert_close(model.infer(along).logits, logits, atol=1e-4, rtol=1e-4)
+    assert not torch.equal(model.infer(across).logits, logits)
+
+
+def test_the_papers_graph_has_three_relations():
+    assert papers_graph(LANE_CHANGING).tolist() == [2, 0, 3, 0, 1, 0]
+
+
+@pytest.mark.slow
+def test_grounded_training_finds_graphs_without_labels(tmp_path: Path):
+    data = DataConfig(range="lane_changing", graphs="mixed", train=600, validation=20, test=200, expert_updates=300)
+    scenes = scenes_of(data, tmp_path)
+    settings = GroundedSettings(likelihood="stepwise", updates=300, encoder_rate=3e-3, shifts=Shifts(position=(0, 20)))
+    chosen = TrainConfig(name="x", data=data, objective=settings, encoder=EncoderConfig(reads=(0, 1, 2, 3)))
+    result = evaluate(train(chosen, scenes, 0).model, scenes.test)
+    assert result.driven_accuracy.mean > 0.9
+    assert result.rmse["x"].mean < 0.5
+    assert result.rmse["y"].mean < 0.3
