@@ -38,12 +38,13 @@ def run(
 ) -> None:
     """Take three-vehicle groups out of live traffic, drive them, hand them back."""
     from cosim.loading import load_scenario, override
-    from cosim.results import next_folder, run_folder
     from cosim.scenario import tag_of
-    from cosim.worker import run_in_worker
 
     changes = {"seed": seed, "episodes": episodes, "policy": baseline and {"kind": BASELINES[baseline]}}
     chosen = override(load_scenario(scenario), {k: v for k, v in changes.items() if v is not None})
+    from cosim.results import next_folder, run_folder  # brings pandas, which bad input need not wait for
+    from cosim.worker import run_in_worker
+
     driver = tag_of(chosen.policy)
     folder = out or next_folder(Path("runs"), f"{Path(scenario).stem}-{driver}-seed{chosen.seed}")
     began = time.monotonic()

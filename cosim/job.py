@@ -16,6 +16,7 @@ from cosim.report import picture
 from cosim.scenario import Scenario, Trained, tag_of
 from cosim.sumo import SumoError
 from cosim.survey import Survey, survey
+from cosim.traffic import arguments
 from gri.errors import InputError
 from gri.resources import shipped
 
@@ -74,6 +75,7 @@ def run_job(scenario: Scenario, folder: Path, tell: Callable[..., None]) -> None
         "driver": tag_of(scenario.policy),
         "seed": scenario.seed,
         "episodes": scenario.episodes,
+        "sumo_arguments": arguments(scenario, net.name, "routes.rou.xml", "sumo.log"),
         "simulated_seconds": outcome.simulated,
         "trunk_collision_steps": outcome.collisions,
         "trunk_teleports": outcome.teleports,

@@ -64,28 +64,28 @@ def test_a_run_ends_with_a_table_a_folder_and_the_next_command(short):
     assert {"steps.parquet", "groups.parquet", "events.parquet", "manifest.json", "episode.png"} <= names
     groups = pd.read_parquet(short / "one/groups.parquet")
     assert (groups["driver"] == "gri").sum() >= 4
+    facts = json.loads((short / "one/manifest.json").read_text())
+    assert facts["arguments"]["seed"] == 1
+    assert "--seed" in facts["arguments"]["sumo_arguments"]
+    assert set(facts["inputs"]) == {"net", "checkpoint"}
     report = cosim("report", "one", "--episode", "1", cwd=short)
     assert report.returncode == 0, report.stderr
     assert (short / "one/episode-1.png").is_file()
 
 
 def test_runs_repeat_byte_for_byte_across_processes(short):
-    for name, seed in (("a", "5"), ("b", "5"), ("c", "6")):
-        assert cosim("run", "short.yaml", "--seed", seed, "--out", name, cwd=short).returncode == 0
+    assert cosim("run", "short.yaml", "--out", "two", cwd=short).returncode == 0
     for table in ("steps", "groups", "events"):
-        a, b, c = ((short / name / f"{table}.parquet").read_bytes() for name in "abc")
-        assert a == b
-        assert a != c
-    hashes = [json.loads((short / name / "manifest.json").read_text())["results"] for name in "ab"]
+        one, two = ((short / name / f"{table}.parquet").read_bytes() for name in ("one", "two"))
+        assert one == two
+    hashes = [json.loads((short / name / "manifest.json").read_text())["results"] for name in ("one", "two")]
     assert hashes[0] == hashes[1]
 
 
-@pytest.mark.parametrize("baseline", ["sumo", "idm", "constant-velocity"])
-def test_baselines_drive_the_same_groups(short, baseline):
-    done = cosim("run", "short.yaml", "--baseline", baseline, "--out", baseline, cwd=short)
+def test_a_baseline_drives_the_same_groups(short):
+    done = cosim("run", "short.yaml", "--baseline", "idm", "--out", "idm", cwd=short)
     assert done.returncode == 0, done.stderr
-    groups = pd.read_parquet(short / baseline / "groups.parquet")
-    reference = pd.read_parquet(short / "one/groups.parquet")
+    groups, reference = (pd.read_parquet(short / name / "groups.parquet") for name in ("idm", "one"))
     ids = ["vehicle_0", "vehicle_1", "vehicle_2", "taken_at"]
     pd.testing.assert_frame_equal(groups[ids].head(4), reference[ids].head(4))
 
@@ -96,11 +96,6 @@ def test_unknown_scenario(tmp_path):
 
 def test_bad_override(short):
     assert "--episodes: Expected `int` >= 1" in refused(short, "run", "short.yaml", "--episodes", "0")
-
-
-def test_edge_that_the_net_does_not_have(short):
-    name = variant(short, "edge.yaml", road={"edges": ["upstream", "midstream"], "origin": "upstream", "length": 100})
-    assert "has no edge 'midstream'" in refused(short, "run", name)
 
 
 def test_net_that_crashes_sumo(short):
@@ -115,18 +110,6 @@ def test_truncated_checkpoint(short):
     (short / "cut.pt").write_bytes(whole[: len(whole) // 2])
     name = variant(short, "cutck.yaml", policy={"kind": "gri", "checkpoint": "cut.pt"})
     assert "damaged or cut short" in refused(short, "run", name)
-
-
-def test_demand_on_a_missing_edge_carries_sumos_message(short):
-    content = yaml.safe_load((short / "short.yaml").read_text())
-    content["traffic"]["flows"][0]["edges"] = ["upstream", "nowhere"]
-    line = refused(short, "run", variant(short, "flow.yaml", traffic=content["traffic"]))
-    assert "nowhere" in line
-
-
-def test_group_that_never_occurs(short):
-    rule = {"rule": "car_following", "min_gap": 40, "max_gap": 40.1, "max_time_gap": 0.1}
-    assert "no group fits the rule" in refused(short, "run", variant(short, "rare.yaml", group=rule, time_limit=20))
 
 
 def test_existing_folder_is_not_overwritten(short):

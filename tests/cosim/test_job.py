@@ -1,8 +1,9 @@
 """Inputs of a run that are checked before SUMO sees them."""
 
+import msgspec
 import pytest
 
-from cosim.job import find_net
+from cosim.job import find_net, run_job
 from cosim.loading import load_scenario, override
 from cosim.policies import policy_of
 from gri.errors import InputError
@@ -71,3 +72,31 @@ MERGE = {"rule": "merge", "lane": "weave_0", "zone": [187.0, 350.0]}
 def test_a_policy_that_does_not_fit_is_refused(scenario, changes, message):
     with pytest.raises(InputError, match=message):
         policy_of(override(scenario, changes))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"road": {"edges": ["upstream", "midstream"], "origin": "upstream", "length": 100.0}},
+            r"road.edges: the net .* has no edge 'midstream'",
+        ),
+        (
+            {"group": {"rule": "car_following", "min_gap": 40, "max_gap": 40.1, "max_time_gap": 0.1}},
+            "no group fits the rule within 20 s",
+        ),
+    ],
+)
+def test_what_only_the_simulation_can_tell(short_scenario, tmp_path, change, message):
+    scenario = override(short_scenario, {"policy": {"kind": "idm"}, "time_limit": 20.0} | change)
+    with pytest.raises(InputError, match=message):
+        run_job(scenario, tmp_path, lambda *_: None)
+
+
+def test_demand_on_a_missing_edge_carries_sumos_message(short_scenario, tmp_path):
+    traffic = short_scenario.traffic
+    flow = msgspec.structs.replace(traffic.flows[0], edges=("upstream", "nowhere"))
+    traffic = msgspec.structs.replace(traffic, flows=(flow, *traffic.flows[1:]))
+    scenario = msgspec.structs.replace(override(short_scenario, {"policy": {"kind": "sumo"}}), traffic=traffic)
+    with pytest.raises(InputError, match=r"SUMO refused the scenario: .*nowhere"):
+        run_job(scenario, tmp_path, lambda *_: None)
