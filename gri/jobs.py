@@ -21,7 +21,7 @@ from gri.data.store import Splits, scenes_of
 from gri.data.synthetic import sample_starts, true_reward
 from gri.dynamics import Dynamics, dynamics_named
 from gri.evaluate import believed
-from gri.graph import EdgeType, InteractionGraph, Vocabulary
+from gri.graph import InteractionGraph, Vocabulary
 from gri.model import Edge, RelationalModel
 from gri.objectives.airl import AdversarialSettings
 from gri.rewards import StructuredReward
@@ -33,6 +33,7 @@ VERSION = 1
 SAMPLES = 20
 """Roll-outs with drawn actions, of `SAMPLED_SCENES` test scenes."""
 SAMPLED_SCENES = 200
+FLIPPED_SCENES = 100
 
 
 @dataclass(frozen=True)
@@ -151,12 +152,13 @@ def spread(job: Job, model: RelationalModel, splits: Splits) -> dict[str, Any]:
 
 
 def flips(job: Job, model: RelationalModel, splits: Splits, true: StructuredReward) -> dict[str, Any] | None:
-    """The edge 1 → 0 flipped from none to follow: the final headway changes as the optimum's does."""
-    if not job.row.meaning or job.scenario.protocol.kept != (0, 1):
+    """Whether edges mean what they say, for scenes that share one true graph and models whose types have meaning."""
+    if not job.row.meaning or job.config.data.graphs != "one":
         return None
-    kinds = (0, model.config.vocabulary.index(EdgeType.FOLLOW))
-    found = probes.flip_agreement(model, splits.test[:100], true, (1, 0), kinds, probes.final_headway)
-    return None if found is None else {"none->follow": asdict(found)}
+    found = {
+        flip.name: probes.flip_agreement(model, splits.test[:FLIPPED_SCENES], true, flip) for flip in job.scenario.flips
+    }
+    return {name: asdict(share) for name, share in found.items() if share is not None}
 
 
 def forced_types(job: Job, model: RelationalModel, inferred: Tensor) -> Tensor:

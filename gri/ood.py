@@ -148,8 +148,8 @@ def oracle(reward: StructuredReward, dynamics: Dynamics, dt: float, steps: int) 
     def drive(start: Tensor, front: Front) -> Tensor:
         ahead = constant_speed(start[:, 1], steps, dynamics, dt)
         if front is Front.POLICY:
-            ahead = best_response(Given(start[:, 1], ahead, 0), reward, dynamics, dt)
-        behind = best_response(Given(start[:, 0], ahead, follow), reward, dynamics, dt)
+            ahead = best_response(Given(start[:, 1], ahead[:, None], (0,)), reward, dynamics, dt)
+        behind = best_response(Given(start[:, 0], ahead[:, None], (follow,)), reward, dynamics, dt)
         return torch.stack([behind, ahead], 1)
 
     return drive

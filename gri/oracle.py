@@ -86,20 +86,21 @@ def _product(matrix: Tensor, vector: Tensor) -> Tensor:
 
 @dataclass(frozen=True)
 class Given:
-    """One scene per row: where the vehicle starts, and what the vehicle it minds (if any) does meanwhile."""
+    """One scene per row: where the vehicle starts, and what the vehicles it may mind do meanwhile."""
 
     start: Float[Tensor, "B D"]
-    ahead: Float[Tensor, "B T D"]
-    kind: int
-    """Index of the edge type from the vehicle ahead; 0 = none."""
+    others: Float[Tensor, "B S T D"]
+    kinds: tuple[int, ...]
+    """Index of the type of the edge from each of the others; 0 = none."""
 
 
 def best_response(
     given: Given, reward: StructuredReward, dynamics: Dynamics, dt: float, iterations: int = 150
 ) -> Float[Tensor, "B T D"]:
     """States of the vehicle under the actions with the highest true return, the best of several climbs."""
-    steps, size = given.ahead.shape[1] - 1, len(dynamics.action)
-    start, ahead = given.start.double(), given.ahead.double()
+    steps, size = given.others.shape[2] - 1, len(dynamics.action)
+    start, others = given.start.double(), given.others.double()[:, :, :-1]
+    kinds = torch.tensor(given.kinds)[None, :, None, None].expand(*others.shape[:3], 1)
 
     def states(actions: Tensor) -> Tensor:
         moved = [start]
@@ -110,7 +111,8 @@ def best_response(
     def value(actions: Tensor) -> Tensor:
         state = states(actions)[:, None, :-1]
         own = reward.of_vehicles(state, actions.unflatten(-1, (steps, size))[:, None])
-        return (own + reward.of_edges(ahead[:, None, :-1], state)[..., given.kind]).sum((1, 2))
+        paid = reward.of_edges(others, state.expand_as(others)).gather(-1, kinds)
+        return own.sum((1, 2)) + paid.sum((1, 2, 3))
 
     reward = _double(reward)
     summits = [climb(value, guess, iterations) for guess in guesses(len(start), steps, size, dt)]

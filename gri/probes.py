@@ -1,15 +1,16 @@
 """Tests of what a trained model has learned, beyond the table: spread, meaning of edges, weights, numbering."""
 
-from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from gri import metrics
 from gri.data.synthetic import Scenes
 from gri.evaluate import believed
-from gri.graph import InteractionGraph, pairs
+from gri.graph import EdgeType, InteractionGraph, pairs
 from gri.graph_scores import shuffled, unshuffled
 from gri.metrics import Summary
 from gri.model import RelationalModel
@@ -82,42 +83,60 @@ def weights_beside_truth(reward: StructuredReward, true: StructuredReward) -> di
     }
 
 
-Effect = Callable[[Tensor], Tensor]
-"""States [S, N, T, D] -> one number per scene that the edge's definition says something about."""
+@dataclass(frozen=True)
+class Flip:
+    """One edge set to one type and then to another, on the same starts, and what the definitions say must change."""
+
+    sender: int
+    receiver: int
+    before: EdgeType
+    after: EdgeType
+    effect: Literal["headway", "lateral"]
+    """Final x_i − x_j, or final |y_i − y_j|."""
+
+    @property
+    def name(self) -> str:
+        return f"{self.sender}->{self.receiver}: {self.before} -> {self.after}, {self.effect}"
 
 
 @torch.no_grad()
 def flip_agreement(
-    model: RelationalModel,
-    scenes: Scenes,
-    true: StructuredReward,
-    pair: tuple[int, int],
-    kinds: tuple[int, int],
-    effect: Effect,
-    least: float = 0.1,
+    model: RelationalModel, scenes: Scenes, true: StructuredReward, flip: Flip, least: float = 0.1
 ) -> Summary | None:
-    """Flip one edge between two types; does the effect change its sign as the optimum of the true reward's does?
+    """Share of scenes in which the flip moves the effect as it moves it in the optimum of the true reward.
 
-    The vehicle ahead is driven as recorded in the optimum's roll-outs. Scenes in which the optimum changes by
-    less than `least` do not count; None where none is left.
+    The optimum takes the other vehicles as recorded. Scenes in which it changes by less than `least` [m] do not
+    count; None where none is left.
     """
-    sender, receiver = pair
-    place = pairs(scenes.state.shape[1]).index(pair)
+    place = pairs(scenes.state.shape[1]).index((flip.sender, flip.receiver))
     by_model, by_oracle = [], []
-    for kind in kinds:
+    for kind in (flip.before, flip.after):
         types = scenes.graph.clone()
-        types[:, place] = kind
+        types[:, place] = model.config.vocabulary.index(kind)
         graph = InteractionGraph.certain(types, model.config.vocabulary).one_hot
-        by_model.append(effect(rollout(model, scenes.start, graph, scenes.leader).state))
-        given = Given(scenes.start[:, receiver], scenes.state[:, sender], kind)
-        state = scenes.state.clone()
-        state[:, receiver] = best_response(given, true, model.dynamics, model.dt)
-        by_oracle.append(effect(state))
+        driven = rollout(model, scenes.start, graph, scenes.leader).state
+        by_model.append(_effect(flip, driven, model))
+        by_oracle.append(_effect(flip, _with_optimum(scenes, types[0], flip.receiver, true, model), model))
     wanted, shown = by_oracle[1] - by_oracle[0], by_model[1] - by_model[0]
     counted = wanted.abs() >= least
     return metrics.proportion((wanted.sign() == shown.sign())[counted]) if bool(counted.any()) else None
 
 
-def final_headway(state: Float[Tensor, "S N T D"], sender: int = 1, receiver: int = 0) -> Float[Tensor, " S"]:
-    """x_i − x_j at the end [m]."""
-    return state[:, sender, -1, 0] - state[:, receiver, -1, 0]
+def _with_optimum(
+    scenes: Scenes, types: Int[Tensor, " E"], vehicle: int, true: StructuredReward, model: RelationalModel
+) -> Float[Tensor, "S N T D"]:
+    """The recorded scenes with one vehicle on its optimum under a graph that all of them share."""
+    n = scenes.state.shape[1]
+    others = [i for i in range(n) if i != vehicle]
+    kinds = tuple(int(types[pairs(n).index((i, vehicle))]) for i in others)
+    given = Given(scenes.state[:, vehicle, 0], scenes.state[:, others], kinds)
+    state = scenes.state.clone()
+    state[:, vehicle] = best_response(given, true, model.dynamics, model.dt)
+    return state
+
+
+def _effect(flip: Flip, state: Float[Tensor, "S N T D"], model: RelationalModel) -> Float[Tensor, " S"]:
+    between = state[:, flip.sender, -1] - state[:, flip.receiver, -1]
+    if flip.effect == "headway":
+        return between[:, model.dynamics.index("x")]
+    return between[:, model.dynamics.index("y")].abs()

@@ -11,7 +11,9 @@ import msgspec
 
 from gri import resources
 from gri.config import read_yaml
+from gri.graph import EdgeType
 from gri.ood import Protocol
+from gri.probes import Flip
 from gri.train import TrainConfig, read_train_config
 
 
@@ -40,8 +42,16 @@ class Scenario:
     paper: str
     """Its section in paper.yaml."""
     rows: tuple[Row, ...]
+    flips: tuple[Flip, ...] = ()
 
 
+NONE, FOLLOW, YIELD, CUT_IN = EdgeType
+FOLLOWING_FLIPS = (Flip(1, 0, NONE, FOLLOW, "headway"),)
+LANE_FLIPS = (
+    Flip(2, 0, NONE, FOLLOW, "lateral"),
+    Flip(2, 0, FOLLOW, YIELD, "lateral"),
+    Flip(0, 1, YIELD, CUT_IN, "headway"),
+)
 GRI = Row("GRI", "", "GRI", ("table1", "table3", "ood"))
 SUPERVISED = Row("Supervised", "_supervised", "Supervised", ("table1", "ood"))
 ROWS = (
@@ -59,7 +69,16 @@ MIXED_ROWS = (Row("GRI", "", None), Row("GRI (paper, contrast)", "_airl", None),
 LANE_PROTOCOL = Protocol(headways=tuple(float(x) for x in range(8, -9, -1)), kept=(0, 2))
 
 SCENARIOS = (
-    Scenario("car_following", "Car following", "paper_car_following", ("x", "v"), Protocol(), "car_following", ROWS),
+    Scenario(
+        "car_following",
+        "Car following",
+        "paper_car_following",
+        ("x", "v"),
+        Protocol(),
+        "car_following",
+        ROWS,
+        FOLLOWING_FLIPS,
+    ),
     Scenario(
         "car_following_mixed",
         "Car following, the true graph differs from scene to scene",

@@ -58,9 +58,7 @@ def _graph_scores(result: dict[str, Any]) -> dict[str, Summary]:
         "shuffle_agreement": _single(result["shuffled"]),
     }
     scores |= {f"f1_{kind}": _single(value) for kind, value in graphs["f1"].items() if value is not None}
-    if result["flip"]:
-        scores["flip_agreement"] = _single(result["flip"]["none->follow"]["mean"])
-    return scores
+    return scores | {f"flip {name}": _single(share["mean"]) for name, share in (result["flip"] or {}).items()}
 
 
 def curve_rows(wanted: Sequence[Job], cache: Path, oracles: dict[str, list[dict]]) -> pd.DataFrame:

@@ -1,0 +1,85 @@
+from dataclasses import replace
+
+import msgspec
+import pytest
+import torch
+
+from gri import probes
+from gri.data.ranges import PAPER
+from gri.data.synthetic import Scenes, make_scenes, model_config, true_reward
+from gri.decoder import DecoderConfig
+from gri.encoder import EncoderConfig
+from gri.graph import EdgeType
+from gri.model import ModelConfig, RelationalModel
+from gri.probes import Flip, fitted_sigma, flip_agreement, sampled_states, shuffle_agreement, std_along_horizon
+from gri.rewards import StructuredReward
+
+
+@pytest.fixture(scope="module")
+def model() -> RelationalModel:
+    torch.manual_seed(0)
+    return RelationalModel(model_config(PAPER, DecoderConfig(hidden=8), EncoderConfig(hidden=8))).eval()
+
+
+@pytest.fixture(scope="module")
+def scenes() -> Scenes:
+    torch.manual_seed(0)
+    expert = RelationalModel(model_config(PAPER, DecoderConfig(hidden=8), None)).requires_grad_(False)
+    return make_scenes(expert, PAPER, PAPER.one_graph, 6, 0)
+
+
+def test_an_encoder_that_reads_no_numbers_agrees_with_itself_when_vehicles_are_renumbered(model, scenes):
+    assert shuffle_agreement(model, scenes, seed=1) == 1.0
+
+
+def test_sigma_is_the_spread_of_recorded_actions_about_the_means(model, scenes):
+    expert = RelationalModel(without_encoder(model))
+    driven = probes.reconstruct(expert, scenes)
+    copied = Scenes(driven, scenes.action, scenes.graph)
+    means = probes.mean_actions(expert, driven, expert.infer(driven).one_hot, 2)
+    shifted = Scenes(copied.state, means + 0.3, copied.graph)
+    torch.testing.assert_close(fitted_sigma(expert, shifted), torch.tensor([0.3]), atol=1e-5, rtol=0)
+
+
+def without_encoder(model: RelationalModel) -> ModelConfig:
+    return msgspec.structs.replace(model.config, encoder=None, told_graph=False)
+
+
+def test_spread_of_states_follows_from_that_of_the_actions(model, scenes):
+    sigma = torch.tensor([0.5])
+    std = std_along_horizon(sampled_states(model, scenes, sigma, samples=400))
+    assert std.shape == (20, 3)
+    assert float(std[0].max()) == 0
+    assert float(std[1, 2]) == pytest.approx(0.5 * 0.2, rel=0.05)  # a' = a + jerk * dt
+    assert float(std[2, 1]) == pytest.approx(0.5 * 0.2 * 0.2, rel=0.05)
+
+
+def test_weights_are_compared_as_ratios_to_that_of_the_jerk():
+    true = true_reward(PAPER)
+    learned = StructuredReward(PAPER.reward)
+    found = probes.weights_beside_truth(learned, true)
+    assert found["follow.idm"] == (pytest.approx(1.0), pytest.approx(2.5 / 1.5))
+    assert found["node.jerk"] == (1.0, 1.0)
+
+
+def test_flips_are_judged_where_the_optimum_moves(model, scenes, monkeypatch):
+    flip = Flip(1, 0, EdgeType.NONE, EdgeType.FOLLOW, "headway")
+    moves = {0: 0.0, 1: 2.0}
+
+    def optimum(given, reward, dynamics, dt):
+        state = given.others[:, 0].clone()
+        state[:, -1, 0] -= moves[given.kinds[0]] * torch.tensor([1.0, 1.0, -1.0, 0.0, 0.0, 0.0])
+        return state
+
+    def driven(model, start, graph, leader):
+        state = scenes.state.clone()
+        state[:, 0, -1, 0] -= graph[:, 2, 1] * torch.tensor([1.0, -1.0, -1.0, 1.0, 1.0, 1.0])
+        return replace(probes_rollout, state=state)
+
+    probes_rollout = probes.rollout(model, scenes.start, scenes.one_hot(2), scenes.leader)
+    monkeypatch.setattr(probes, "best_response", optimum)
+    monkeypatch.setattr(probes, "rollout", driven)
+    found = flip_agreement(model, scenes, true_reward(PAPER), flip)
+    assert found is not None
+    assert found.scenes == 3
+    assert found.mean == pytest.approx(2 / 3)
