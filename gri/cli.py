@@ -84,6 +84,7 @@ def reproduce_command(
     cache: Annotated[Path, typer.Option(help="Folder of finished rows and seeds.")] = Path("runs/reproduce/jobs"),
     scenes: Annotated[Path, typer.Option("--scenes-folder", help="Folder in which scenes are kept.")] = SCENES,
     scenario: Annotated[str | None, typer.Option(help="Only this scenario.")] = None,
+    row: Annotated[list[str] | None, typer.Option(help="Only this row; may be given several times.")] = None,
     processes: Annotated[int, typer.Option(help="Trainings at a time, one thread each.")] = 2,
     quick: Annotated[bool, typer.Option(help="Few scenes and updates: shows that all runs, no more.")] = False,
 ) -> None:
@@ -92,7 +93,7 @@ def reproduce_command(
 
     if target not in TABLES:
         raise InputError(f"got {target}, wanted one of {', '.join(TABLES)}")
-    plan = Plan(target, seeds, test, out, cache, scenes, scenario, quick, processes)  # type: ignore[arg-type]
+    plan = Plan(target, seeds, test, out, cache, scenes, scenario, tuple(row or ()), quick, processes)  # type: ignore[arg-type]
     try:
         with _Bar() as progress:
             written = publish(plan, " ".join(["gri", *sys.argv[1:]]), progress)

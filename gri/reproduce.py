@@ -41,6 +41,8 @@ class Plan:
     scenes_folder: Path = Path("runs/scenes")
     scenario: str | None = None
     """Only this scenario; None: all."""
+    rows: tuple[str, ...] = ()
+    """Only the rows of these names; none: all."""
     quick: bool = False
     processes: int = 2
 
@@ -54,13 +56,17 @@ def jobs_of(plan: Plan) -> list[Job]:
     for seed in range(plan.seeds):
         for scenario in rows.SCENARIOS:
             if plan.scenario in (None, scenario.name):
-                made += [_job(plan, scenario, row, seed) for row in _rows(scenario, plan.target)]
+                made += [_job(plan, scenario, row, seed) for row in _rows(scenario, plan)]
     return made
 
 
-def _rows(scenario: rows.Scenario, target: Target) -> list[rows.Row]:
-    wanted = [row for table in TABLES[target] for row in rows.rows_of(scenario, table)]
-    return [row for row in scenario.rows if row in wanted]
+def _rows(scenario: rows.Scenario, plan: Plan) -> list[rows.Row]:
+    names = [row.name for every in rows.SCENARIOS for row in every.rows]
+    unknown = [name for name in plan.rows if name not in names]
+    if unknown:
+        raise InputError(f"got row {unknown[0]}, wanted one of {', '.join(dict.fromkeys(names))}")
+    wanted = [row for table in TABLES[plan.target] for row in rows.rows_of(scenario, table)]
+    return [row for row in scenario.rows if row in wanted and (not plan.rows or row.name in plan.rows)]
 
 
 def _job(plan: Plan, scenario: rows.Scenario, row: rows.Row, seed: int) -> Job:

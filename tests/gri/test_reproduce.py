@@ -53,6 +53,12 @@ def test_seeds_come_one_after_the_other(tmp_path: Path):
     assert [job.seed for job in jobs_of(plan(tmp_path, seeds=2))] == [0] * 6 + [1] * 6
 
 
+def test_rows_can_be_chosen(tmp_path: Path):
+    assert [job.row.name for job in jobs_of(plan(tmp_path, rows=("NRI", "GRI")))] == ["GRI", "NRI"]
+    with pytest.raises(InputError, match="Supervised"):
+        jobs_of(plan(tmp_path, rows=("VAE",)))
+
+
 def test_an_unknown_scenario_lists_the_known_ones(tmp_path: Path):
     with pytest.raises(InputError, match="lane_changing"):
         jobs_of(plan(tmp_path, scenario="parking"))
