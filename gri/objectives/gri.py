@@ -240,8 +240,9 @@ def grounded_return(
 
 
 def random_graphs(count: int, vehicles: int, types: int, generator: torch.Generator) -> Float[Tensor, "B E K"]:
-    """Every edge of any type with the same probability, as one-hot vectors."""
-    drawn = torch.randint(0, types, (count, len(pairs(vehicles))), generator=generator)
+    """Every edge is "none" with probability ½, else of any other type, as one-hot vectors."""
+    drawn = torch.randint(0, 2 * (types - 1), (count, len(pairs(vehicles))), generator=generator)
+    drawn = (drawn - (types - 2)).clamp(min=0)
     return torch.nn.functional.one_hot(drawn, types).float()
 
 

@@ -9,12 +9,13 @@ from gri import checkpoint
 from gri.data.store import DataConfig, Splits, scenes_of
 from gri.data.synthetic import model_config
 from gri.decoder import DecoderConfig
+from gri.dynamics import DUBINS
 from gri.encoder import EncoderConfig
 from gri.evaluate import evaluate, papers_graph
 from gri.graph import LANE_CHANGING
 from gri.model import RelationalModel
 from gri.objectives.airl import AdversarialSettings
-from gri.objectives.gri import GroundedSettings, Shifts
+from gri.objectives.gri import GroundedSettings, Shifts, random_graphs, shift
 from gri.objectives.nri import NriSettings
 from gri.objectives.supervised import SupervisedSettings
 from gri.rewards import LaneRewardConfig
@@ -85,6 +86,22 @@ def test_a_model_knows_its_lane_but_not_where_on_the_road_it_is(splits: Splits):
 
 def test_the_papers_graph_has_three_relations():
     assert papers_graph(LANE_CHANGING).tolist() == [2, 0, 3, 0, 1, 0]
+
+
+def test_half_of_the_random_edges_are_none_and_the_rest_of_any_type(generator: torch.Generator):
+    shares = random_graphs(4000, 3, 4, generator).mean((0, 1))
+    torch.testing.assert_close(shares, torch.tensor([1 / 2, 1 / 6, 1 / 6, 1 / 6]), atol=0.02, rtol=0)
+
+
+def test_starts_are_shifted_along_and_across_the_road(generator: torch.Generator):
+    start = torch.zeros(200, 3, 6)
+    moved = shift(start, Shifts(position=(0.0, 20.0), lateral=(-1.0, 1.0), speed=(1.0, 2.0)), generator, DUBINS)
+    x, y, v, *rest = moved[:100, :2].unbind(-1)
+    assert 0 <= x.min() < 1 < 19 < x.max() <= 20
+    assert -1 <= y.min() < -0.9 < 0.9 < y.max() <= 1
+    assert 1 <= v.min() <= v.max() <= 2
+    assert torch.stack(rest).abs().max() == 0
+    assert moved[:, 2].abs().max() == moved[100:].abs().max() == 0
 
 
 @pytest.mark.slow
