@@ -9,6 +9,7 @@ import msgspec
 import torch
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
@@ -151,12 +152,15 @@ class _Bar:
 
 def _table(name: str, result: Evaluation, scenes: int) -> Table:
     table = Table("metric", "mean ± std over scenes", "95 % ±", title=f"{name}, {scenes} test scenes")
-    rows = {"RMSE_x [m]": result.rmse["x"], "RMSE_v [m/s]": result.rmse["v"], "accuracy, 6 edges": result.accuracy}
+    rows = {f"RMSE_{name} [{'m/s' if name == 'v' else 'm'}]": value for name, value in result.rmse.items()}
+    rows["accuracy, 6 edges"] = result.accuracy
     rows["accuracy, 4 edges into driven vehicles"] = result.driven_accuracy
     if result.chain_accuracy is not None:
-        rows[f"accuracy in {result.chain_accuracy.scenes} chain scenes"] = result.chain_accuracy
+        rows[f"accuracy in {result.chain_accuracy.scenes} scenes with the paper's graph"] = result.chain_accuracy
     for metric, value in rows.items():
-        table.add_row(metric, str(value), f"{value.half_width:.4f}")
+        table.add_row(escape(metric), str(value), f"{value.half_width:.4f}")
+    for kind, value in result.f1.items():
+        table.add_row(f"F1 of type {kind}", f"{value:.4f}", "")
     return table
 
 

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Int
 from torch import Tensor
 
-from gri import metrics
+from gri import graph_scores, metrics
 from gri.data.synthetic import Scenes
 from gri.graph import FOLLOWING, InteractionGraph, Vocabulary, pairs
 from gri.metrics import Summary
@@ -28,6 +28,8 @@ class Evaluation:
     """Over all edges, in scenes whose true graph is the paper's (chain or merge); None where there are none."""
     edge_accuracy: dict[str, float]
     """Of every ordered pair "i->j"."""
+    f1: dict[str, float]
+    """Of every edge type that is true or inferred somewhere, over the edges into driven vehicles."""
 
 
 @torch.no_grad()
@@ -48,7 +50,15 @@ def evaluate(model: RelationalModel, scenes: Scenes) -> Evaluation:
         driven_accuracy=metrics.summary(metrics.driven_accuracy(graph.map, scenes.graph)),
         chain_accuracy=metrics.summary(right[chain].mean(-1)) if bool(chain.any()) else None,
         edge_accuracy={f"{i}->{j}": float(right[:, e].mean()) for e, (i, j) in enumerate(pairs(n))},
+        f1=f1_by_type(graph, scenes),
     )
+
+
+def f1_by_type(graph: InteractionGraph, scenes: Scenes) -> dict[str, float]:
+    """F1 of each type that occurs, over the edges into driven vehicles."""
+    inferred, true = graph_scores.into_driven(graph.map), graph_scores.into_driven(scenes.graph)
+    scores = {str(kind): graph_scores.f1(inferred, true, k) for k, kind in enumerate(graph.vocabulary)}
+    return {kind: score for kind, score in scores.items() if score is not None}
 
 
 def believed(model: RelationalModel, scenes: Scenes) -> InteractionGraph:

@@ -60,6 +60,7 @@ def test_every_objective_trains_and_survives_its_checkpoint(objective: Objective
     result = evaluate(loaded, splits.test)
     assert result == evaluate(trained.model, splits.test)
     assert set(result.rmse) == {"x", "y", "v"}
+    assert set(result.f1) <= {"none", "follow", "yield", "cut_in"}
     reward = checkpoint.load_reward(tmp_path / "m.pt")
     if trained.reward is None:
         assert reward is None
