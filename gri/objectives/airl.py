@@ -45,6 +45,10 @@ class AdversarialSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
     clip: float = 5.0
     """Bound of the encoder's gradient per edge [nats]; without it the logits saturate in a hundred updates.
     """
+    expert_term: float = 1.0
+    """Weight of −log D(τ^E) in what the policy maximises; 1 in J as printed, 0 in AIRL. Its slope (1 − D)·∇log π(a^E|x^E, z)
+    lets the policy imitate where D tells the two apart; no label enters.
+    """
     bottleneck: Bottleneck = Bottleneck()
     rewards: Literal["semantic", "networks"] = "semantic"
     """`networks` replaces the named terms by free functions: the ablation GRI-VAIRL (Appendix C)."""
@@ -107,7 +111,7 @@ def train_adversarial(
             slope = encoder_slope(reward, batch, judged, settings)
             to_encoder.step((z * slope).sum((1, 2)).mean() + z.shape[1] * beta * kl)
         batch = scenes[torch.randint(0, len(scenes), (settings.batch,), generator=generator)]
-        value = policy_value(model, reward, batch, model.infer(batch.state), generator)
+        value = policy_value(model, reward, batch, model.infer(batch.state), settings, generator)
         to_policy.step(-value)
         progress("game", update + 1, settings.updates, float(value.detach()))
 
@@ -162,10 +166,18 @@ def policy_value(
     reward: ShapedReward,
     batch: Scenes,
     graph: InteractionGraph,
+    settings: AdversarialSettings,
     generator: torch.Generator,
 ) -> Float[Tensor, ""]:
-    """Mean f of the policy's own roll-outs under graphs drawn from the encoder (cooperative, as in the paper)."""
+    """Mean f of the policy's own roll-outs under graphs drawn from the encoder (cooperative, as in the paper), and
+    the expert's share of J with its weight.
+    """
     noise = torch.randn(batch.action.shape, generator=generator)
     z = graph.sample(generator).detach()
     driven = rollout(model, batch.start, z, batch.leader, noise)
-    return shaped(reward, driven.state, driven.action, z).mean()
+    value = shaped(reward, driven.state, driven.action, z).mean()
+    if settings.expert_term:
+        f_expert = shaped(reward, batch.state, batch.action, z).detach()
+        log_pi = log_prob_of(model, batch.state, batch.action, z)
+        value = value + settings.expert_term * softplus(-airl_logit(f_expert, log_pi)).mean()
+    return value
