@@ -46,7 +46,7 @@ class AdversarialSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
     """Bound of the encoder's gradient per edge [nats]; without it the logits saturate in a hundred updates.
     """
     expert_term: float = 1.0
-    """Weight of −log D(τ^E) in what the policy maximises; 1 in J as printed, 0 in AIRL. Its slope (1 − D)·∇log π(a^E|x^E, z)
+    """Weight of −log D(τ^E) in what the policy maximises; 1 in J as printed, 0 in AIRL. Its slope, (1 − D)·∇log π(a^E),
     lets the policy imitate where D tells the two apart; no label enters.
     """
     bottleneck: Bottleneck = Bottleneck()
