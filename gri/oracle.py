@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from gri.dynamics import Dynamics
+from gri.ilqr import Task, climb_by_steps
 from gri.rewards import StructuredReward
 
 Value = Callable[[Tensor], Tensor]
@@ -99,26 +100,23 @@ def best_response(
 ) -> Float[Tensor, "B T D"]:
     """States of the vehicle under the actions with the highest true return, the best of several climbs."""
     steps, size = given.others.shape[2] - 1, len(dynamics.action)
-    start, others = given.start.double(), given.others.double()[:, :, :-1]
-    kinds = torch.tensor(given.kinds)[None, :, None, None].expand(*others.shape[:3], 1)
-
-    def states(actions: Tensor) -> Tensor:
-        moved = [start]
-        for action in actions.unflatten(-1, (steps, size)).unbind(1):
-            moved.append(dynamics.step(moved[-1], action, dt))
-        return torch.stack(moved, 1)
+    others = given.others.double()[:, :, :-1]
+    task = Task(given.start.double(), others, given.kinds, _double(reward), dynamics, dt)
 
     def value(actions: Tensor) -> Tensor:
-        state = states(actions)[:, None, :-1]
-        own = reward.of_vehicles(state, actions.unflatten(-1, (steps, size))[:, None])
-        paid = reward.of_edges(others, state.expand_as(others)).gather(-1, kinds)
-        return own.sum((1, 2)) + paid.sum((1, 2, 3))
+        action = actions.unflatten(-1, (steps, size))
+        return task.value(task.simulate(action)[:, :-1], action)
 
-    reward = _double(reward)
-    summits = [climb(value, guess, iterations) for guess in guesses(len(start), steps, size, dt)]
-    values = torch.stack([value(summit) for summit in summits])
-    best = torch.stack(summits)[values.argmax(0), torch.arange(len(start))]
-    return states(best).float()
+    def summit(guess: Tensor) -> Tensor:
+        if size == 1:
+            return climb(value, guess, iterations)
+        # With more actions, a matrix over all of them is slow and slow to learn.
+        return climb_by_steps(task, guess.unflatten(-1, (steps, size)), iterations).flatten(1)
+
+    summits = [summit(guess) for guess in guesses(len(others), steps, size, dt)]
+    values = torch.stack([value(actions) for actions in summits])
+    best = torch.stack(summits)[values.argmax(0), torch.arange(len(others))]
+    return task.simulate(best.unflatten(-1, (steps, size))).float()
 
 
 def _double(reward: StructuredReward) -> StructuredReward:

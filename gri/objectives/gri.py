@@ -78,6 +78,8 @@ class GroundedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     encoder_rate: float = 1e-3
     return_batch: int = 32
     return_weight: float = 0.02
+    return_fade: float = 1.0
+    """Share of the return's weight that is left at the end of its linear decline: reconstruction has the last word."""
     return_headway: float | None = None
     """Least starting headway [m] over which a vehicle may react in the roll-outs whose return is maximised.
 
@@ -211,8 +213,13 @@ def fit_encoder_and_policy(
         driven = rollout(model, batch.start, graph.sample(generator).detach(), batch.leader)
         loss = reconstruction_loss(driven.state, batch.state, model.dynamics)
         value = grounded_return(model, reward, scenes, settings, settings.return_batch, generator)
-        to_policy.step(loss - settings.return_weight * value)
+        to_policy.step(loss - settings.return_weight * faded(update / settings.updates, settings.return_fade) * value)
         progress("encoder and policy", update + 1, settings.updates, float(loss.detach()))
+
+
+def faded(done: float, left: float) -> float:
+    """Factor that declines from 1 to `left` as the work done goes from 0 to 1."""
+    return 1 - (1 - left) * done
 
 
 def _look(
