@@ -78,7 +78,7 @@ def _all_alike(vehicles: int) -> tuple[Edge, ...]:
 
 def train(config: TrainConfig, splits: Splits, seed: int, progress: Progress = silent) -> Trained:
     """Train from scratch; the same configuration, scenes, seed and versions give the same model."""
-    began = time.monotonic()
+    began = time.monotonic(), time.process_time()
     torch.manual_seed(seed)
     model = RelationalModel(model_config(config))
     scenes = config.data.scene_range
@@ -100,11 +100,14 @@ def train(config: TrainConfig, splits: Splits, seed: int, progress: Progress = s
     return Trained(model.requires_grad_(False).eval(), reward, _provenance(config, seed, began, model, splits))
 
 
-def _provenance(config: TrainConfig, seed: int, began: float, model: RelationalModel, splits: Splits) -> dict[str, Any]:
+def _provenance(
+    config: TrainConfig, seed: int, began: tuple[float, float], model: RelationalModel, splits: Splits
+) -> dict[str, Any]:
     return {
         "config": msgspec.to_builtins(config),
         "seed": seed,
-        "seconds": round(time.monotonic() - began, 1),
+        "seconds": round(time.monotonic() - began[0], 1),
+        "cpu_seconds": round(time.process_time() - began[1], 1),
         "versions": {"gri-cosim": version("gri-cosim"), "torch": str(torch.__version__)},
         "validation": msgspec.to_builtins(evaluate(model, splits.validation)),
     }

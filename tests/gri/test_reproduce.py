@@ -91,7 +91,7 @@ def test_an_interrupted_job_goes_on_and_gives_the_same_file(tmp_path: Path, monk
     monkeypatch.setattr(jobs, "train", None)  # a finished job is never trained again
     jobs.run(job, cache, scenes)
     scores = tables.score_rows([job], cache)
-    assert set(scores["metric"]) == {"rmse_x", "rmse_v", "training_seconds"}
+    assert set(scores["metric"]) == {"rmse_x", "rmse_v", "training_seconds", "training_cpu_seconds"}
     assert len(tables.curve_rows([job], cache, {})) == 2 * len(job.scenario.protocol.headways)
 
 
@@ -100,7 +100,7 @@ def test_a_table_stands_beside_the_papers(tmp_path: Path):
     seeds = [{"seed": 0, "mean": 0.02, "std": 0.01}, {"seed": 1, "mean": 0.04, "std": 0.03}]
     scores = pd.DataFrame(
         [line | {"row": "Supervised", "metric": metric} | seed for seed in seeds for metric in ("rmse_x", "rmse_v")]
-        + [line | {"row": "Supervised", "metric": "training_seconds"} | seed for seed in seeds]
+        + [line | {"row": "Supervised", "metric": "training_cpu_seconds"} | seed for seed in seeds]
     )
     table = tables.markdown_table(scores, scenario_named("car_following")).splitlines()
     assert len(table) == 3
