@@ -60,12 +60,13 @@ class Task:
 
 @torch.no_grad()
 def climb_by_steps(
-    task: Task, guess: Float[Tensor, "B T A"], iterations: int = 60, tolerance: float = 1e-6
+    task: Task, guess: Float[Tensor, "B T A"], iterations: int = 60, tolerance: float = 1e-4
 ) -> Float[Tensor, "B T A"]:
     """Actions at a local maximum of the return near the guess."""
     action, state = guess, task.simulate(guess)
     value = task.value(state[:, :-1], action)
     damping = torch.full_like(value, 1e-4)
+    settled = torch.zeros_like(value, dtype=torch.bool)
     for _ in range(iterations):
         open_loop, feedback = gains(task, state, action, damping)
         trial_state, trial, trial_value = _search(task, state, action, open_loop, feedback)
@@ -74,7 +75,7 @@ def climb_by_steps(
         action = torch.where(better[:, None, None], trial, action)
         state = torch.where(better[:, None, None], trial_state, state)
         value = torch.where(better, trial_value, value)
-        settled = (gained < tolerance) & (better | (damping > 1.0))
+        settled = settled | ((gained < tolerance) & (better | (damping > 1.0)))
         if bool(settled.all()):
             break
         damping = torch.where(better, damping / 5, damping * 20).clamp(1e-8, 1e6)

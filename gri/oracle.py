@@ -111,7 +111,7 @@ def best_response(
         if size == 1:
             return climb(value, guess, iterations)
         # With more actions, a matrix over all of them is slow and slow to learn.
-        return climb_by_steps(task, guess.unflatten(-1, (steps, size)), iterations).flatten(1)
+        return climb_by_steps(task, guess.unflatten(-1, (steps, size))).flatten(1)
 
     summits = [summit(guess) for guess in guesses(len(others), steps, size, dt)]
     values = torch.stack([value(actions) for actions in summits])
