@@ -76,7 +76,7 @@ def run(job: Job, cache: Path, scenes: Path) -> str:
     if not path.is_file():
         trained = train(job.config, splits, job.seed)
         checkpoint.save(path, trained.model, trained.reward, trained.provenance)
-    trained_in = {name: checkpoint.provenance(path)[name] for name in ("seconds", "cpu_seconds")}
+    trained_in = {name: checkpoint.provenance(path).get(name) for name in ("seconds", "cpu_seconds")}
     began = time.monotonic()
     result = examine(job, checkpoint.load(path), checkpoint.load_reward(path), splits)
     made = trained_in | {"tests": round(time.monotonic() - began, 1)}

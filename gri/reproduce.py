@@ -134,7 +134,7 @@ def provenance(plan: Plan, wanted: Sequence[Job], command: str, began: float) ->
         "test_scenes": plan.scenes,
         "jobs": len(wanted),
         "training_seconds": round(sum(m["seconds"] for m in made), 1),
-        "training_cpu_seconds": round(sum(m["cpu_seconds"] for m in made), 1),
+        "training_cpu_seconds": round(sum(m.get("cpu_seconds") or 0 for m in made), 1),
         "testing_seconds": round(sum(m["tests"] for m in made), 1),
         "this_call_seconds": round(time.monotonic() - began, 1),
         "torch": str(torch.__version__),

@@ -24,8 +24,8 @@ def score_rows(wanted: Sequence[Job], cache: Path) -> pd.DataFrame:
         values = {f"rmse_{name}": summary(torch.tensor(v)) for name, v in result["rmse"].items()}
         lines += [_line(job, metric, value) for metric, value in values.items()]
         lines += [_line(job, metric, value) for metric, value in _graph_scores(result).items()]
-        lines.append(_line(job, "training_seconds", _single(job.made(cache)["seconds"])))
-        lines.append(_line(job, "training_cpu_seconds", _single(job.made(cache)["cpu_seconds"])))
+        spent = {name: job.made(cache).get(name) for name in ("seconds", "cpu_seconds")}
+        lines += [_line(job, f"training_{name}", _single(value)) for name, value in spent.items() if value]
     return pd.DataFrame(lines)
 
 
@@ -126,7 +126,7 @@ def _cells(row: rows.Row, part: pd.DataFrame, scenario: rows.Scenario) -> list[s
     cells.append(_spread(part[part["metric"] == "driven_accuracy"], 100.0, 2))
     cells.append(_f1(part))
     seconds = part[part["metric"] == "training_cpu_seconds"]["mean"]
-    return [*cells, str(part["seed"].nunique()), f"{seconds.mean():.0f}"]
+    return [*cells, str(part["seed"].nunique()), f"{seconds.mean():.0f}" if len(seconds) else "–"]
 
 
 def _spread(part: pd.DataFrame, factor: float, digits: int) -> str:
