@@ -79,7 +79,7 @@ class GroundedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     return_batch: int = 32
     return_weight: float = 0.02
     return_fade: float = 1.0
-    """Share of the return's weight that is left at the end of its linear decline: reconstruction has the last word."""
+    """Share of the return's weight that is left at the end of its decline: reconstruction has the last word."""
     return_headway: float | None = None
     """Least starting headway [m] over which a vehicle may react in the roll-outs whose return is maximised.
 
@@ -206,9 +206,10 @@ def fit_encoder_and_policy(
     to_policy = Descent(model.decoder.parameters(), settings.policy_rate, settings.updates)
     for update, chosen in enumerate(batches(len(scenes), settings.batch, settings.updates, generator)):
         batch = scenes[chosen]
-        graph = _look(model, batch, settings, generator)
         known = chosen % len(posterior)
-        shown = graph if torch.equal(known, chosen) else _look(model, scenes[known], settings, generator)
+        shown = _look(model, scenes[known], settings, generator)
+        with torch.no_grad():
+            graph = shown if torch.equal(known, chosen) else _look(model, batch, settings, generator)
         to_encoder.step(-(posterior[known] * shown.logits.log_softmax(-1)).sum(-1).mean())
         driven = rollout(model, batch.start, graph.sample(generator).detach(), batch.leader)
         loss = reconstruction_loss(driven.state, batch.state, model.dynamics)
@@ -218,8 +219,8 @@ def fit_encoder_and_policy(
 
 
 def faded(done: float, left: float) -> float:
-    """Factor that declines from 1 to `left` as the work done goes from 0 to 1."""
-    return 1 - (1 - left) * done
+    """Factor that declines from 1 to `left` as the work done goes from 0 to 1, ever more slowly."""
+    return left + (1 - left) * (1 - done) ** 2
 
 
 def _look(

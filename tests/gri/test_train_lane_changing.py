@@ -15,7 +15,7 @@ from gri.evaluate import evaluate, papers_graph
 from gri.graph import LANE_CHANGING
 from gri.model import RelationalModel
 from gri.objectives.airl import AdversarialSettings
-from gri.objectives.gri import GroundedSettings, Shifts, random_graphs, shift
+from gri.objectives.gri import GroundedSettings, Shifts, faded, random_graphs, shift
 from gri.objectives.nri import NriSettings
 from gri.objectives.supervised import SupervisedSettings
 from gri.rewards import LaneRewardConfig
@@ -92,6 +92,11 @@ def test_the_papers_graph_has_three_relations():
 def test_half_of_the_random_edges_are_none_and_the_rest_of_any_type(generator: torch.Generator):
     shares = random_graphs(4000, 3, 4, generator).mean((0, 1))
     torch.testing.assert_close(shares, torch.tensor([1 / 2, 1 / 6, 1 / 6, 1 / 6]), atol=0.02, rtol=0)
+
+
+def test_the_return_fades_from_all_of_its_weight_to_what_is_left():
+    assert [faded(done, 0.2) for done in (0.0, 0.5, 1.0)] == pytest.approx([1.0, 0.4, 0.2])
+    assert faded(0.7, 1.0) == 1.0
 
 
 def test_starts_are_shifted_along_and_across_the_road(generator: torch.Generator):
