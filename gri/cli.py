@@ -97,7 +97,7 @@ def reproduce_command(
     plan = Plan(target, seeds, test, out, cache, scenes, scenario, tuple(row or ()), quick, processes)  # type: ignore[arg-type]
     try:
         with _Bar() as progress:
-            written = publish(plan, " ".join(["gri", *sys.argv[1:]]), progress)
+            written = publish(plan, progress)
     except KeyboardInterrupt:
         console.print("interrupted; the same command goes on from here")
         raise SystemExit(130) from None

@@ -32,7 +32,7 @@ FRONTS = {
 }
 
 
-def publish(plan: Plan, command: str, progress: Progress = silent) -> list[Path]:
+def publish(plan: Plan, progress: Progress = silent) -> list[Path]:
     """Make what is missing, then write everything; returns the files."""
     began = time.monotonic()
     wanted = make(plan, progress)
@@ -42,7 +42,7 @@ def publish(plan: Plan, command: str, progress: Progress = silent) -> list[Path]
         curves = tables.curve_rows(wanted, plan.cache, oracles(plan, wanted, progress))
         written = _curves(plan, wanted, curves) if plan.target == "ood" else _figures(plan, wanted, curves)
     path = plan.out / f"{plan.target}.json"
-    path.write_text(json.dumps(provenance(plan, wanted, command, began), indent=1) + "\n")
+    path.write_text(json.dumps(provenance(plan, wanted, began), indent=1) + "\n")
     return [*written, path]
 
 

@@ -47,6 +47,14 @@ class Plan:
     processes: int = 2
 
 
+def command(plan: Plan) -> str:
+    """The command that makes this plan's files anywhere; where they were kept here does not matter."""
+    parts = ["gri reproduce", plan.target, f"--seeds {plan.seeds}", f"--scenes {plan.scenes}"]
+    parts += [f"--scenario {plan.scenario}"] if plan.scenario else []
+    parts += [f'--row "{name}"' for name in plan.rows]
+    return " ".join([*parts, *(["--quick"] if plan.quick else [])])
+
+
 def jobs_of(plan: Plan) -> list[Job]:
     """Every row and seed the target needs, seed by seed, so that an interrupted run has whole tables to show."""
     known = [scenario.name for scenario in rows.SCENARIOS]
@@ -124,11 +132,11 @@ def oracles(plan: Plan, wanted: Sequence[Job], progress: Progress = silent) -> d
     return found
 
 
-def provenance(plan: Plan, wanted: Sequence[Job], command: str, began: float) -> dict:
+def provenance(plan: Plan, wanted: Sequence[Job], began: float) -> dict:
     """What made the files: command, commit, seeds, durations, versions."""
     made = [job.made(plan.cache) for job in wanted]
     return {
-        "command": command,
+        "command": command(plan),
         "commit": commit(),
         "seeds": list(range(plan.seeds)),
         "test_scenes": plan.scenes,

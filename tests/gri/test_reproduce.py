@@ -53,6 +53,12 @@ def test_seeds_come_one_after_the_other(tmp_path: Path):
     assert [job.seed for job in jobs_of(plan(tmp_path, seeds=2))] == [0] * 6 + [1] * 6
 
 
+def test_results_say_the_command_without_anybodys_folders(tmp_path: Path):
+    text = reproduce.command(plan(tmp_path, rows=("GRI (paper, contrast)",)))
+    wanted = 'gri reproduce table1 --seeds 1 --scenes 20 --scenario car_following --row "GRI (paper, contrast)" --quick'
+    assert text == wanted
+
+
 def test_rows_can_be_chosen(tmp_path: Path):
     assert [job.row.name for job in jobs_of(plan(tmp_path, rows=("NRI", "GRI")))] == ["GRI", "NRI"]
     with pytest.raises(InputError, match="Supervised"):
@@ -127,7 +133,7 @@ def test_every_target_is_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr(rows, "rows_of", lambda scenario, table: tuple(r for r in ROWS if r.name in ("GRI", "NRI")))
     for target in reproduce.TABLES:
-        written = publish(plan(tmp_path, target=target), "gri reproduce")
+        written = publish(plan(tmp_path, target=target))
         assert all(path.stat().st_size > 0 for path in written)
         made = json.loads((tmp_path / f"{target}.json").read_text())
         assert made["seeds"] == [0]
