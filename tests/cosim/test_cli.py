@@ -123,13 +123,13 @@ def test_report_of_something_else(tmp_path):
 
 def test_ctrl_c_leaves_nothing_behind(short):
     command = [sys.executable, "-m", "cosim", "run", "us101_car_following", "--out", "stopped"]
-    process = subprocess.Popen(command, cwd=short, stderr=subprocess.PIPE, text=True, start_new_session=True)
-    assert process.stderr is not None
-    told = next((line for line in process.stderr if "warm-up" in line), None)
-    assert told, "the run ended before its warm-up"
-    time.sleep(0.5)
-    os.killpg(process.pid, signal.SIGINT)
-    _, errors = process.communicate(timeout=20)
+    with subprocess.Popen(command, cwd=short, stderr=subprocess.PIPE, text=True, start_new_session=True) as process:
+        assert process.stderr is not None
+        told = next((line for line in process.stderr if "warm-up" in line), None)
+        assert told, "the run ended before its warm-up"
+        time.sleep(0.5)
+        os.killpg(process.pid, signal.SIGINT)
+        errors = process.stderr.read()
     assert process.returncode == 130
     assert "Traceback" not in errors
     assert not list(short.glob("stopped*"))
