@@ -99,13 +99,13 @@ def edge_frequencies(scenario: rows.Scenario, mine: Sequence[Job], cache: Path) 
         if graphs:
             found.setdefault(job.row.name, []).append(np.array(graphs["frequency"]))
     kinds = jobs.vocabulary_of(mine[0])
-    size = (1.55 * len(found) + 0.3, 1.75 * len(kinds) + 0.4)
+    size = (1.55 * len(found) + 0.3, 1.95 * len(kinds) + 0.4)
     figure, axes = plt.subplots(len(kinds), len(found), figsize=size, squeeze=False)
     for column, (name, matrices) in zip(axes.T, found.items(), strict=True):
         for axis, kind, matrix in zip(column, kinds, np.mean(matrices, 0), strict=True):
             _matrix(axis, matrix, f"{name}\n{kind}")
     figure.suptitle(f"{scenario.title}: share of test scenes with the type", fontsize=9)
-    figure.tight_layout()
+    figure.tight_layout(h_pad=1.5)
     return figure
 
 
@@ -163,7 +163,13 @@ def _curves(axis: Axes, part: pd.DataFrame, metric: str, scenario: rows.Scenario
         grouped = mine.groupby("headway")
         mean = grouped[metric].mean()
         band = grouped[f"{metric}_half_width"].mean() / np.sqrt(grouped.size())
-        style = {"color": COLOURS.get(name, "black"), "lw": 1.4, "ls": "--" if name == "oracle" else "-"}
+        above = 3 if name == "oracle" else 2
+        style = {
+            "zorder": above,
+            "color": COLOURS.get(name, "black"),
+            "lw": 1.4,
+            "ls": "--" if name == "oracle" else "-",
+        }
         axis.plot(mean.index, mean, label=name, **style)
         axis.fill_between(mean.index, mean - band, mean + band, color=style["color"], alpha=0.15, lw=0)
     if metric != "lateral":
@@ -202,7 +208,7 @@ def densities(job: Job, cache: Path, scenes: Path, samples: int = 400) -> Figure
     for axis, vehicle in zip(axes, (1, 0), strict=True):
         place = model.dynamics.index("y" if across else "v")
         other = model.dynamics.index("x")
-        points = states[:, vehicle, 1:][..., [other, place]].reshape(-1, 2).numpy()
+        points = _between(states[:, vehicle][..., [other, place]]).reshape(-1, 2).numpy()
         recorded = scene.state[0, vehicle][:, [other, place]].numpy()
         _density(axis, points)
         axis.plot(recorded[:, 0], recorded[:, 1], color="blue", lw=1.2, label="recorded")
@@ -213,6 +219,12 @@ def densities(job: Job, cache: Path, scenes: Path, samples: int = 400) -> Figure
     axes[-1].set_xlabel(UNITS["x"])
     figure.tight_layout()
     return figure
+
+
+def _between(states: Tensor, parts: int = 8) -> Tensor:
+    """Points on the straight lines between successive instants, so that the density does not show the sampling."""
+    share = torch.linspace(0, 1, parts + 1)[:-1, None, None, None]
+    return (1 - share) * states[:, :-1] + share * states[:, 1:]
 
 
 def _density(axis: Axes, points: np.ndarray, cells: int = 160) -> None:
@@ -235,7 +247,7 @@ def _density(axis: Axes, points: np.ndarray, cells: int = 160) -> None:
 
 def example(scenario: rows.Scenario, mine: Sequence[Job], cache: Path) -> Figure:
     """F12: one start out of distribution as sequences of rectangles, by GRI, NRI and Supervised."""
-    headway = scenario.protocol.headways[(2 * len(scenario.protocol.headways)) // 3]
+    headway = scenario.protocol.headways[(5 * len(scenario.protocol.headways)) // 6]
     names = ["oracle", "GRI", "Supervised", "NRI"]
     drives = {name: drive for name in names if (drive := _drive(name, mine, cache))}
     start = ood.at_headway(jobs.starts(mine[0]), headway)[:1]
