@@ -37,6 +37,7 @@ class AdversarialSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
     updates: int = 600
     batch: int = 64
     encoder: Literal["contrast", "literal"] = "contrast"
+    """Whether the weights 1 − D(τ^E) and D(τ^G) are left out of J's slopes, for the encoder and in `expert_term`."""
     reward_updates: int = 1
     """Updates of encoder and reward per update of the policy; the literal form needs about 4."""
     policy_rate: float = 2e-3
@@ -46,9 +47,7 @@ class AdversarialSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
     """Bound of the encoder's gradient per edge [nats]; without it the logits saturate in a hundred updates.
     """
     expert_term: float = 1.0
-    """Weight of −log D(τ^E) in what the policy maximises; 1 in J as printed, 0 in AIRL. Its slope, (1 − D)·∇log π(a^E),
-    lets the policy imitate where D tells the two apart; no label enters.
-    """
+    """Weight of the expert's half of J in what the policy maximises; 1 as printed, 0 in AIRL. No label enters."""
     bottleneck: Bottleneck = Bottleneck()
     rewards: Literal["semantic", "networks"] = "semantic"
     """`networks` replaces the named terms by free functions: the ablation GRI-VAIRL (Appendix C)."""
@@ -179,5 +178,15 @@ def policy_value(
     if settings.expert_term:
         f_expert = shaped(reward, batch.state, batch.action, z).detach()
         log_pi = log_prob_of(model, batch.state, batch.action, z)
-        value = value + settings.expert_term * softplus(-airl_logit(f_expert, log_pi)).mean()
+        value = value + settings.expert_term * expert_value(f_expert, log_pi, settings.encoder).mean()
     return value
+
+
+def expert_value(
+    f: Float[Tensor, "*batch"], log_pi: Float[Tensor, "*batch"], form: Literal["contrast", "literal"]
+) -> Float[Tensor, "*batch"]:
+    """The expert's half of J for the policy: −log D(τ^E), whose slope is (1 − D(τ^E))·∇log π, or log π, without that weight.
+
+    The weight vanishes where recorded actions are unlikely, that is where the policy has most to learn from them.
+    """
+    return softplus(-airl_logit(f, log_pi)) if form == "literal" else log_pi

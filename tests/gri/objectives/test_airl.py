@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch.nn.functional import softplus
 
-from gri.objectives.airl import airl_logit, discriminator_loss, edge_gradient
+from gri.objectives.airl import airl_logit, discriminator_loss, edge_gradient, expert_value
 from gri.objectives.common import Bottleneck, updated_beta
 
 
@@ -42,3 +42,14 @@ def test_beta(form: str, expected: float):
     bottleneck = Bottleneck(form=form, rate=0.5, information=0.5)  # type: ignore[arg-type]
     assert updated_beta(1.0, 1.0, bottleneck) == expected
     assert updated_beta(0.0, 0.0, bottleneck) == 0.0
+
+
+def test_the_experts_half_of_j_loses_its_slope_where_d_is_sure_and_the_contrast_form_does_not():
+    f = torch.zeros(2)
+    log_pi = torch.tensor([0.0, -20.0], requires_grad=True)
+    literal = expert_value(f, log_pi, "literal")
+    torch.testing.assert_close(literal[0], torch.tensor(log(2.0)))  # -log D with D = 1/2
+    (slope,) = torch.autograd.grad(literal.sum(), log_pi)
+    torch.testing.assert_close(slope, torch.tensor([0.5, 0.0]), atol=1e-6, rtol=0)
+    (slope,) = torch.autograd.grad(expert_value(f, log_pi, "contrast").sum(), log_pi)
+    assert slope.tolist() == [1.0, 1.0]
