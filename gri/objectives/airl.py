@@ -185,7 +185,7 @@ def policy_value(
 def expert_value(
     f: Float[Tensor, "*batch"], log_pi: Float[Tensor, "*batch"], form: Literal["contrast", "literal"]
 ) -> Float[Tensor, "*batch"]:
-    """The expert's half of J for the policy: −log D(τ^E), whose slope is (1 − D(τ^E))·∇log π, or log π, without that weight.
+    """The expert's half of J for the policy: −log D(τ^E), with slope (1 − D(τ^E))·∇log π, or without that weight.
 
     The weight vanishes where recorded actions are unlikely, that is where the policy has most to learn from them.
     """
