@@ -46,6 +46,10 @@ class AdversarialSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
     clip: float = 5.0
     """Bound of the encoder's gradient per edge [nats]; without it the logits saturate in a hundred updates.
     """
+    logit_penalty: float = 0.05
+    """Weight of the squared differences of the encoder's logits. A certain graph is sampled in one way only and has no
+    gradient left that could mend it; the penalty leaves every type a small share.
+    """
     expert_term: float = 1.0
     """Weight of the expert's half of J in what the policy maximises; 1 as printed, 0 in AIRL. No label enters."""
     bottleneck: Bottleneck = Bottleneck()
@@ -108,11 +112,17 @@ def train_adversarial(
             kl = categorical_kl(graph.logits, prior).mean()
             beta = updated_beta(beta, float(kl.detach()), settings.bottleneck)
             slope = encoder_slope(reward, batch, judged, settings)
-            to_encoder.step((z * slope).sum((1, 2)).mean() + z.shape[1] * beta * kl)
+            loss = (z * slope).sum((1, 2)).mean() + z.shape[1] * beta * kl
+            to_encoder.step(loss + settings.logit_penalty * spread(graph.logits))
         batch = scenes[torch.randint(0, len(scenes), (settings.batch,), generator=generator)]
         value = policy_value(model, reward, batch, model.infer(batch.state), settings, generator)
         to_policy.step(-value)
         progress("game", update + 1, settings.updates, float(value.detach()))
+
+
+def spread(logits: Float[Tensor, "B E K"]) -> Float[Tensor, ""]:
+    """Σ_ij Σ_{k>0} (l_ij,k − l_ij,0)², mean over scenes."""
+    return (logits[..., 1:] - logits[..., :1]).square().sum((1, 2)).mean()
 
 
 class Judged(msgspec.Struct, frozen=True):

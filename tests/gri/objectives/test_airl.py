@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch.nn.functional import softplus
 
-from gri.objectives.airl import airl_logit, discriminator_loss, edge_gradient, expert_value
+from gri.objectives.airl import airl_logit, discriminator_loss, edge_gradient, expert_value, spread
 from gri.objectives.common import Bottleneck, updated_beta
 
 
@@ -53,3 +53,9 @@ def test_the_experts_half_of_j_loses_its_slope_where_d_is_sure_and_the_contrast_
     torch.testing.assert_close(slope, torch.tensor([0.5, 0.0]), atol=1e-6, rtol=0)
     (slope,) = torch.autograd.grad(expert_value(f, log_pi, "contrast").sum(), log_pi)
     assert slope.tolist() == [1.0, 1.0]
+
+
+def test_the_penalty_is_on_differences_of_logits():
+    logits = torch.tensor([[[1.0, 4.0], [2.0, 2.0]], [[0.0, 1.0], [5.0, 4.0]]])
+    assert float(spread(logits)) == (9 + 0 + 1 + 1) / 2
+    assert float(spread(logits + 7)) == float(spread(logits))
