@@ -35,6 +35,8 @@ class Dynamics:
     action_units: tuple[str, ...]
     step: Callable[[Tensor, Tensor, float], Tensor]
     inverse: Callable[[Tensor, Tensor, float], Tensor]
+    stop: Callable[[Tensor, Tensor], Tensor] | None = None
+    """(state, next state) -> next state of a vehicle that stands still where it would roll backwards."""
 
     def index(self, feature: str) -> int:
         """Position of a state feature on the last axis."""
@@ -96,6 +98,32 @@ def _point_mass_2d_step(state: State, action: Action, dt: float) -> State:
     )
 
 
+def stop_at_standstill(
+    state: Float[Tensor, "*batch 3"], next_state: Float[Tensor, "*batch 3"]
+) -> Float[Tensor, "*batch 3"]:
+    """Let a 1-D point mass that would roll backwards stand still instead.
+
+    The paper's equations know no standstill; in stop-and-go traffic v' = v + a·Δt < 0 would mean reversing.
+    Where v' is negative the vehicle stops after its remaining braking distance v²/(−2a), with v' = 0 and a' =
+    0.
+    """
+    x, v, a = state.unbind(-1)
+    reversing = next_state[..., 1] < 0
+    stopping_distance = torch.where(a < 0, v.clamp(min=0) ** 2 / (-2 * a).clamp(min=1e-6), torch.zeros_like(x))
+    stopped = torch.stack([x + stopping_distance, torch.zeros_like(v), torch.zeros_like(a)], dim=-1)
+    return torch.where(reversing[..., None], stopped, next_state)
+
+
+def stop_dubins_at_standstill(
+    state: Float[Tensor, "*batch 6"], next_state: Float[Tensor, "*batch 6"]
+) -> Float[Tensor, "*batch 6"]:
+    """The same for Dubins' car: its position moves by the speed before the step; a standing car does not turn."""
+    x, y, v, *_ = next_state.unbind(-1)
+    zero = torch.zeros_like(v)
+    stopped = torch.stack([x, y, zero, state[..., 3], zero, zero], -1)
+    return torch.where((v < 0)[..., None], stopped, next_state)
+
+
 POINT_MASS_1D = Dynamics(
     name=DynamicsName.POINT_MASS_1D,
     state=("x", "v", "a"),
@@ -104,6 +132,7 @@ POINT_MASS_1D = Dynamics(
     action_units=("m/s^3",),
     step=_point_mass_1d_step,
     inverse=_point_mass_1d_inverse,
+    stop=stop_at_standstill,
 )
 DUBINS = Dynamics(
     name=DynamicsName.DUBINS,
@@ -113,6 +142,7 @@ DUBINS = Dynamics(
     action_units=("m/s^3", "rad/s^2"),
     step=_dubins_step,
     inverse=_dubins_inverse,
+    stop=stop_dubins_at_standstill,
 )
 POINT_MASS_2D = Dynamics(
     name=DynamicsName.POINT_MASS_2D,
@@ -130,19 +160,3 @@ _BY_NAME = {dynamics.name: dynamics for dynamics in (POINT_MASS_1D, DUBINS, POIN
 def dynamics_named(name: DynamicsName | str) -> Dynamics:
     """The dynamics of that name; a ValueError lists the known ones."""
     return _BY_NAME[DynamicsName(name)]
-
-
-def stop_at_standstill(
-    state: Float[Tensor, "*batch 3"], next_state: Float[Tensor, "*batch 3"]
-) -> Float[Tensor, "*batch 3"]:
-    """Let a 1-D point mass that would roll backwards stand still instead.
-
-    The paper's equations know no standstill; in stop-and-go traffic v' = v + a·Δt < 0 would mean reversing.
-    Where v' is negative the vehicle stops after its remaining braking distance v²/(−2a), with v' = 0 and a' =
-    0.
-    """
-    x, v, a = state.unbind(-1)
-    reversing = next_state[..., 1] < 0
-    stopping_distance = torch.where(a < 0, v.clamp(min=0) ** 2 / (-2 * a).clamp(min=1e-6), torch.zeros_like(x))
-    stopped = torch.stack([x + stopping_distance, torch.zeros_like(v), torch.zeros_like(a)], dim=-1)
-    return torch.where(reversing[..., None], stopped, next_state)

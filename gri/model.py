@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from gri.decoder import Decoder, DecoderConfig, dense
-from gri.dynamics import Dynamics, DynamicsName, dynamics_named, stop_at_standstill
+from gri.dynamics import Dynamics, DynamicsName, dynamics_named
 from gri.encoder import Encoder, EncoderConfig
 from gri.graph import FOLLOWING, EdgeType, InteractionGraph
 from gri.policy import PolicyState
@@ -48,7 +48,7 @@ class ModelConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     history_steps: int = 20
     """States the encoder is shown before it decides on the graph."""
     never_reverse: bool = False
-    """Roll-outs stop at v = 0 (1-D point mass only)."""
+    """Roll-outs stop at v = 0, where the dynamics say how."""
     scale: Scale = CAR_FOLLOWING_PAPER
     decoder: DecoderConfig = DecoderConfig()
     encoder: EncoderConfig | None = EncoderConfig()
@@ -114,7 +114,8 @@ class RelationalModel(nn.Module):
     def step(self, state: Float[Tensor, "*batch D"], action: Float[Tensor, "*batch A"]) -> Float[Tensor, "*batch D"]:
         """The next state under the model's dynamics."""
         moved = self.dynamics.step(state, action, self.dt)
-        return stop_at_standstill(state, moved) if self.config.never_reverse else moved
+        stop = self.dynamics.stop if self.config.never_reverse else None
+        return moved if stop is None else stop(state, moved)
 
 
 def relative(state: Float[Tensor, "B N D"]) -> Float[Tensor, "B N D"]:

@@ -46,6 +46,17 @@ def test_standstill_ends_a_braking_after_its_distance():
     torch.testing.assert_close(stopped, torch.tensor([10.0625, 0.0, 0.0]))
 
 
+def test_a_dubins_car_stands_still_instead_of_reversing():
+    state = torch.tensor([10.0, 1.0, 0.3, 0.1, -2.0, 0.5])
+    moved = DUBINS.step(state, torch.zeros(2), 0.2)
+    assert moved[2] < 0
+    assert DUBINS.stop is not None
+    stopped = DUBINS.stop(state, moved)
+    torch.testing.assert_close(stopped, torch.tensor([*moved[:2].tolist(), 0.0, 0.1, 0.0, 0.0]))
+    forward = DUBINS.step(state + torch.tensor([0, 0, 5.0, 0, 0, 0]), torch.zeros(2), 0.2)
+    assert torch.equal(DUBINS.stop(state, forward), forward)
+
+
 def test_unknown_dynamics_are_named():
     with pytest.raises(ValueError, match="unicycle"):
         dynamics_named("unicycle")
