@@ -2,6 +2,7 @@
 
 import difflib
 import re
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -33,12 +34,19 @@ def parsed(path: Path | str) -> Any:
     return content
 
 
-def typed(content: Any, kind: type[T], path: Path | str) -> T:
-    """Plain content as a typed value; `path` is the file that errors name."""
+def typed(content: Any, kind: type[T], path: Path | str, under: Sequence[str] = ()) -> T:
+    """Plain content as a typed value; `path` is the file that errors name, `under` where in it the content stands."""
     try:
         return msgspec.convert(content, kind)
     except msgspec.ValidationError as error:
-        raise InputError(_explained(str(error), kind, path)) from error
+        raise InputError(_explained(str(error), kind, path, under)) from error
+
+
+def located(path: Path | str, fields: Sequence[str], problem: str) -> InputError:
+    """An error about a field of a YAML file: `file:line: field a.b[0]: problem`."""
+    line = _line(list(fields), Path(path))
+    name = ".".join(fields).replace(".[", "[")
+    return InputError(f"{path}{f':{line}' if line else ''}: {f'field {name}: ' if name else ''}{problem}")
 
 
 def _text(path: Path) -> str:
@@ -64,20 +72,18 @@ def _repeated_key(node: yaml.Node | None) -> yaml.ScalarNode | None:
     return next((found for value in values if (found := _repeated_key(value))), None)
 
 
-def _explained(message: str, kind: type, path: Path | str) -> str:
+def _explained(message: str, kind: type, path: Path | str, under: Sequence[str]) -> str:
     """`file:line: field name: what is wrong; what to do` out of msgspec's message."""
     found = re.search(r" - at `(?:key in )?\$\.?([^`]*)`", message)
-    fields = re.split(r"\.|(?=\[)", found[1]) if found and found[1] else []
+    fields = [*under, *(re.split(r"\.|(?=\[)", found[1]) if found and found[1] else [])]
     unknown = re.search(r"unknown field `([^`]*)`", message)
     missing = re.search(r"missing required field `([^`]*)`", message)
     problem, hint = message.split(" - at ")[0], "correct it"
     if unknown:
         close = difflib.get_close_matches(unknown[1], _field_names(kind), n=1)
         problem, hint = "unknown field", f"did you mean {close[0]!r}?" if close else "remove or correct it"
-    name = ".".join([*fields, *([unknown[1]] if unknown else []), *([missing[1]] if missing else [])])
-    line = _line([*fields, unknown[1]] if unknown else fields, Path(path))
-    place = f"{path}:{line}" if line else str(path)
-    return f"{place}: {f'field {name}: ' if name else ''}{problem[:1].lower()}{problem[1:]}; {hint}"
+    fields += [found[1] for found in (unknown, missing) if found]
+    return str(located(path, fields, f"{problem[:1].lower()}{problem[1:]}; {hint}"))
 
 
 def _field_names(kind: type) -> list[str]:

@@ -56,7 +56,7 @@ def test_a_supervised_model_has_no_encoder(tmp_path: Path):
         ("  shifts:", "  updates: many\n  shifts:", 7, "field objective.updates: expected `int`, got `str`"),
         ("    position", "    positions", 8, "field objective.shifts.positions: .*unknown field"),
         ("[0.0, 3.0]", "[0.0]", 8, "field objective.shifts.position: .*length"),
-        ("[0.0, 3.0]", "[0.0, x]", 8, r"field objective.shifts.position.\[1\]: expected `float`, got `str`"),
+        ("[0.0, 3.0]", "[0.0, x]", 8, r"field objective.shifts.position\[1\]: expected `float`, got `str`"),
         ("[0.0, 3.0]", "[0.0, 3.0", 9, "not valid YAML"),
     ],
 )
