@@ -18,7 +18,7 @@ import torch
 from cosim.branch import fork
 from cosim.closed_loop import Files, RunningRoad, Trunk, simulation
 from cosim.driving import drive
-from cosim.job import find_net
+from cosim.inputs import find_net
 from cosim.loading import load_scenario
 from cosim.policies import policy_of
 from cosim.traffic import route_file

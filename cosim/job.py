@@ -3,7 +3,6 @@
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from xml.etree import ElementTree
 
 import msgspec
 import torch
@@ -11,6 +10,7 @@ import torch
 from cosim import results
 from cosim.closed_loop import Files, run
 from cosim.groups import expected_graph
+from cosim.inputs import find_net, sha256
 from cosim.policies import checkpoint_path, policy_of
 from cosim.report import picture
 from cosim.scenario import Scenario, Trained, tag_of
@@ -18,22 +18,6 @@ from cosim.sumo import SumoError
 from cosim.survey import Survey, survey
 from cosim.traffic import arguments
 from gri.errors import InputError
-from gri.resources import shipped
-
-
-def find_net(name: str) -> Path:
-    """The built net of that name (shipped in `sumo_nets/`) or path; checked to be whole XML of the right kind."""
-    path = next((p for p in (Path(name), shipped("sumo_nets", name, f"{name}.net.xml")) if p.is_file()), None)
-    if path is None:
-        known = ", ".join(sorted(p.parent.name for p in shipped("sumo_nets").glob("*/*.net.xml")))
-        raise InputError(f"net: no net {name!r}: expected the path of a .net.xml file or a shipped name ({known})")
-    try:
-        root = ElementTree.parse(path).getroot()
-    except ElementTree.ParseError as error:
-        raise InputError(f"{path}:{error.position[0]}: not well-formed XML ({error}); build the net again") from None
-    if root.tag != "net":
-        raise InputError(f"{path}: got a <{root.tag}> file, expected a SUMO <net>; build one with netconvert")
-    return path
 
 
 def survey_job(scenario: Scenario, duration: float, tell: Callable[..., None]) -> Survey:
@@ -54,7 +38,7 @@ def run_job(scenario: Scenario, folder: Path, tell: Callable[..., None]) -> None
             outcome = run(scenario, files, policy, tag_of(scenario.policy), tell)
         except SumoError as error:
             raise InputError(f"SUMO refused the scenario: {error}") from error
-        routes = results.sha256(files.routes)
+        routes = sha256(files.routes)
     if not outcome.episodes:
         raise InputError(
             f"group: no group fits the rule within {scenario.time_limit:g} s; loosen its gaps or raise time_limit"

@@ -3,7 +3,6 @@
 A run folder appears whole or not at all: it is written beside its place and then moved there.
 """
 
-import hashlib
 import json
 import os
 import platform
@@ -18,6 +17,7 @@ import numpy as np
 import pandas as pd
 
 from cosim.episode import COLUMNS, Ending, Episode, EventKind
+from cosim.inputs import sha256
 from gri.errors import InputError
 from gri.graph import EdgeType, pairs
 
@@ -122,10 +122,6 @@ def manifest(arguments: Mapping[str, Any], inputs: Mapping[str, Path], folder: P
         "inputs": {name: {"file": path.name, "sha256": sha256(path)} for name, path in inputs.items()},
         "results": {f"{name}.parquet": sha256(folder / f"{name}.parquet") for name in TABLES},
     }
-
-
-def sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame]) -> None:

@@ -3,7 +3,8 @@
 import msgspec
 import pytest
 
-from cosim.job import find_net, run_job
+from cosim.inputs import find_net
+from cosim.job import run_job
 from cosim.loading import load_scenario, override
 from cosim.policies import policy_of
 from gri.errors import InputError

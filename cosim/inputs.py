@@ -1,0 +1,40 @@
+"""The files a scenario names: its net and its checkpoint, found and hashed without importing torch or SUMO."""
+
+import hashlib
+from pathlib import Path
+from xml.etree import ElementTree
+
+from gri.errors import InputError
+from gri.resources import checkpoint as released
+from gri.resources import checkpoints, shipped
+
+
+def find_net(name: str) -> Path:
+    """The built net of that name (shipped in `sumo_nets/`) or path; checked to be whole XML of the right kind."""
+    path = next((p for p in (Path(name), shipped("sumo_nets", name, f"{name}.net.xml")) if p.is_file()), None)
+    if path is None:
+        known = ", ".join(sorted(p.parent.name for p in shipped("sumo_nets").glob("*/*.net.xml")))
+        raise InputError(f"net: no net {name!r}: expected the path of a .net.xml file or a shipped name ({known})")
+    try:
+        root = ElementTree.parse(path).getroot()
+    except ElementTree.ParseError as error:
+        raise InputError(f"{path}:{error.position[0]}: not well-formed XML ({error}); build the net again") from None
+    if root.tag != "net":
+        raise InputError(f"{path}: got a <{root.tag}> file, expected a SUMO <net>; build one with netconvert")
+    return path
+
+
+def checkpoint_path(name: str) -> Path:
+    """The file of a checkpoint given by path or by the name of a released one."""
+    for path in (Path(name), released(name)):
+        if path.is_file():
+            return path
+    raise InputError(
+        f"policy.checkpoint: no checkpoint {name!r}: expected a path or a released name ({', '.join(checkpoints())});"
+        " make one with `gri train`"
+    )
+
+
+def sha256(path: Path) -> str:
+    """SHA-256 of a file's content, in hexadecimal."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
