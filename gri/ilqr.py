@@ -8,7 +8,7 @@ and independently of each other.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
@@ -32,6 +32,9 @@ class Task:
     reward: StructuredReward
     dynamics: Dynamics
     dt: float
+
+    def __getitem__(self, scenes: Tensor) -> "Task":
+        return replace(self, start=self.start[scenes], others=self.others[scenes])
 
     def simulate(self, action: Float[Tensor, "B T A"]) -> Float[Tensor, "B T+1 D"]:
         states = [self.start]
@@ -62,23 +65,22 @@ class Task:
 def climb_by_steps(
     task: Task, guess: Float[Tensor, "B T A"], iterations: int = 60, tolerance: float = 1e-4
 ) -> Float[Tensor, "B T A"]:
-    """Actions at a local maximum of the return near the guess."""
-    action, state = guess, task.simulate(guess)
+    """Actions at a local maximum of the return near the guess; a scene moves on while it gains `tolerance`."""
+    action, state = guess.clone(), task.simulate(guess)
     value = task.value(state[:, :-1], action)
     damping = torch.full_like(value, 1e-4)
-    settled = torch.zeros_like(value, dtype=torch.bool)
+    moving = torch.arange(len(guess))
     for _ in range(iterations):
-        open_loop, feedback = gains(task, state, action, damping)
-        trial_state, trial, trial_value = _search(task, state, action, open_loop, feedback)
-        better = trial_value > value
-        gained = torch.where(better, trial_value - value, torch.zeros_like(value))
-        action = torch.where(better[:, None, None], trial, action)
-        state = torch.where(better[:, None, None], trial_state, state)
-        value = torch.where(better, trial_value, value)
-        settled = settled | ((gained < tolerance) & (better | (damping > 1.0)))
-        if bool(settled.all()):
+        part, now, acted, lift = task[moving], state[moving], action[moving], damping[moving]
+        trial_state, trial, trial_value = _search(part, now, acted, *gains(part, now, acted, lift))
+        gained = (trial_value - value[moving]).clamp(min=0)
+        better = gained > 0
+        risen = moving[better]
+        action[risen], state[risen], value[risen] = trial[better], trial_state[better], trial_value[better]
+        damping[moving] = torch.where(better, lift / 5, lift * 20).clamp(1e-8, 1e6)
+        moving = moving[(gained >= tolerance) | (~better & (lift <= 1.0))]
+        if not len(moving):
             break
-        damping = torch.where(better, damping / 5, damping * 20).clamp(1e-8, 1e6)
     return action
 
 
