@@ -3,8 +3,10 @@
 Poses are front-bumper centres (see cosim/frames.py); a box of length L reaches from the pose backwards.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 
 def box_centre(
@@ -26,22 +28,46 @@ def overlaps(
     Touching boxes do not overlap: the test is strict.
     """
     centre = box_centre(xy, heading, length)
-    half = 0.5 * np.stack([length, width], axis=1)
-    radius = np.hypot(half[:, 0], half[:, 1])
+    radius = 0.5 * np.hypot(length, width)
     offset = centre[None] - centre[rows][:, None]  # Shape: (R, V, 2)
     near = (offset**2).sum(-1) < (radius[rows][:, None] + radius[None]) ** 2
     near[np.arange(len(rows)), rows] = False
     which, j = np.nonzero(near)
-    i, between = rows[which], offset[which, j]
-    forward = _direction(heading)
-    left = np.stack([-forward[:, 1], forward[:, 0]], axis=1)
-    axes = np.stack([forward, left], axis=1)  # Shape: (V, axis, 2)
-    apart = np.zeros(len(i), dtype=bool)
-    for box in (i, j):
-        for axis in (axes[box, 0], axes[box, 1]):
-            reach = sum((np.abs((axes[k] * axis[:, None]).sum(-1)) * half[k]).sum(-1) for k in (i, j))
-            apart |= np.abs((between * axis).sum(-1)) >= reach
-    return np.stack([i, j], axis=1)[~apart]
+    i = rows[which]
+    boxes = Boxes(xy, heading, length, width)
+    return np.stack([i, j], axis=1)[boxes_meet(boxes[i], boxes[j])]
+
+
+@dataclass(frozen=True)
+class Boxes:
+    """Oriented boxes, each given by its vehicle's pose."""
+
+    xy: Float[np.ndarray, "P 2"]
+    heading: Float[np.ndarray, " P"]
+    length: Float[np.ndarray, " P"]
+    width: Float[np.ndarray, " P"]
+
+    def __getitem__(self, rows: Int[np.ndarray, " R"]) -> "Boxes":
+        return Boxes(self.xy[rows], self.heading[rows], self.length[rows], self.width[rows])
+
+
+def boxes_meet(one: Boxes, other: Boxes) -> Bool[np.ndarray, " P"]:
+    """Whether the boxes of each pair overlap, by the separating-axis theorem; touching is no overlap."""
+    between = box_centre(other.xy, other.heading, other.length) - box_centre(one.xy, one.heading, one.length)
+    axes, halves = [], []
+    for boxes in (one, other):
+        forward = _direction(boxes.heading)
+        axes.append((forward, np.stack([-forward[:, 1], forward[:, 0]], axis=1)))
+        halves.append((0.5 * boxes.length, 0.5 * boxes.width))
+    apart = np.zeros(len(between), dtype=bool)
+    for axis in (*axes[0], *axes[1]):
+        reach = sum(
+            np.abs((own * axis).sum(-1)) * half
+            for pair, sizes in zip(axes, halves, strict=True)
+            for own, half in zip(pair, sizes, strict=True)
+        )
+        apart |= np.abs((between * axis).sum(-1)) >= reach
+    return ~apart
 
 
 def _direction(heading: Float[np.ndarray, " V"]) -> Float[np.ndarray, "V 2"]:
