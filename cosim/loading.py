@@ -12,14 +12,18 @@ from gri.errors import InputError
 from gri.resources import shipped
 
 
-def load_scenario(name: str) -> Scenario:
-    """The scenario of that name (shipped in `scenarios/`) or path."""
-    path = find(name, "scenarios", "scenario")
+def load_scenario(name: str, beside: Path | None = None) -> Scenario:
+    """The scenario of that name (shipped in `scenarios/`) or path; paths may be relative to the file `beside`."""
+    path = find(name, "scenarios", "scenario", beside)
     content = parsed(path)
     if isinstance(content, dict) and isinstance(content.get("traffic"), str):
-        traffic = find(content["traffic"], "scenarios/traffic", "traffic", beside=path)
-        content["traffic"] = msgspec.to_builtins(read_yaml(traffic, Traffic))
+        content["traffic"] = traffic_of(content["traffic"], beside=path)
     return typed(content, Scenario, path)
+
+
+def traffic_of(name: str, beside: Path) -> dict[str, Any]:
+    """The content of a traffic file: of that name (shipped in `scenarios/traffic/`) or path."""
+    return msgspec.to_builtins(read_yaml(find(name, "scenarios/traffic", "traffic", beside), Traffic))
 
 
 def names_of(folder: str) -> list[str]:

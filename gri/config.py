@@ -2,7 +2,7 @@
 
 import difflib
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -28,18 +28,26 @@ def parsed(path: Path | str) -> Any:
         mark = getattr(error, "problem_mark", None)
         where = f":{mark.line + 1}" if mark else ""
         raise InputError(f"{path}{where}: not valid YAML ({getattr(error, 'problem', error)})") from error
-    if repeated := _repeated_key(tree):
-        line = repeated.start_mark.line + 1
-        raise InputError(f"{path}:{line}: field {repeated.value} stands twice in its mapping; keep one")
+    except ValueError as error:  # of dates that are none
+        raise InputError(f"{path}: not valid YAML ({error})") from error
+    for node, problem in _problems(tree):
+        raise InputError(f"{path}:{node.start_mark.line + 1}: {problem}")
     return content
 
 
-def typed(content: Any, kind: type[T], path: Path | str, under: Sequence[str] = ()) -> T:
-    """Plain content as a typed value; `path` is the file that errors name, `under` where in it the content stands."""
+def typed(content: Any, kind: type[T], path: Path | str) -> T:
+    """Plain content as a typed value; `path` is the file that errors name."""
+    return checked(content, kind, path)
+
+
+def checked(content: Any, kind: Any, path: Path | str, under: Sequence[str] = ()) -> Any:
+    """Content that stands `under` these fields of a file, as a value of a kind, which may be a union."""
     try:
         return msgspec.convert(content, kind)
     except msgspec.ValidationError as error:
         raise InputError(_explained(str(error), kind, path, under)) from error
+    except OverflowError as error:
+        raise located(path, under, f"a number in it is too large ({error}); give a smaller one") from error
 
 
 def located(path: Path | str, fields: Sequence[str], problem: str) -> InputError:
@@ -57,22 +65,33 @@ def _text(path: Path) -> str:
         raise InputError(f"{path}: cannot be read ({reason}); give the path of a YAML file") from error
 
 
-def _repeated_key(node: yaml.Node | None) -> yaml.ScalarNode | None:
-    """The first key that a mapping holds twice; YAML loaders silently keep the last one."""
-    values = []
-    if isinstance(node, yaml.MappingNode):
-        seen = set()
-        for key, value in node.value:
-            if isinstance(key, yaml.ScalarNode) and key.value in seen:
-                return key
-            seen.add(key.value if isinstance(key, yaml.ScalarNode) else None)
-            values.append(value)
-    elif isinstance(node, yaml.SequenceNode):
-        values = node.value
-    return next((found for value in values if (found := _repeated_key(value))), None)
+def _problems(root: yaml.Node | None) -> Iterator[tuple[yaml.Node, str]]:
+    """What YAML allows and a configuration does not.
+
+    Keys that stand twice (loaders silently keep the last one), numbers that are not finite, and content that contains
+    itself.
+    """
+    waiting: list[tuple[yaml.Node, tuple[yaml.Node, ...]]] = [] if root is None else [(root, ())]
+    while waiting:
+        node, above = waiting.pop()
+        if node in above:
+            yield node, "an alias refers to what contains it; write the values out"
+            return
+        if node.tag == "tag:yaml.org,2002:float" and node.value.lower().lstrip("+-") in (".inf", ".nan"):
+            yield node, f"got {node.value}, expected a finite number"
+        inside = []
+        if isinstance(node, yaml.MappingNode):
+            keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
+            for key, value in node.value:
+                if isinstance(key, yaml.ScalarNode) and keys.count(key.value) > 1:
+                    yield key, f"field {key.value} stands twice in its mapping; keep one"
+                inside.append(value)
+        elif isinstance(node, yaml.SequenceNode):
+            inside = node.value
+        waiting += [(child, (*above, node)) for child in reversed(inside)]
 
 
-def _explained(message: str, kind: type, path: Path | str, under: Sequence[str]) -> str:
+def _explained(message: str, kind: Any, path: Path | str, under: Sequence[str]) -> str:
     """`file:line: field name: what is wrong; what to do` out of msgspec's message."""
     found = re.search(r" - at `(?:key in )?\$\.?([^`]*)`", message)
     fields = [*under, *(re.split(r"\.|(?=\[)", found[1]) if found and found[1] else [])]
@@ -86,7 +105,7 @@ def _explained(message: str, kind: type, path: Path | str, under: Sequence[str])
     return str(located(path, fields, f"{problem[:1].lower()}{problem[1:]}; {hint}"))
 
 
-def _field_names(kind: type) -> list[str]:
+def _field_names(kind: Any) -> list[str]:
     """All field names a value of that kind may hold, at any depth."""
     definitions = msgspec.json.schema(kind).get("$defs", {}).values()
     return sorted({name for definition in definitions for name in definition.get("properties", {})})

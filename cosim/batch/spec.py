@@ -1,0 +1,93 @@
+"""Batch: the frozen, typed specification of many runs as a matrix.
+
+A batch is a YAML file. Its runs are scenarios × policies × (nominal + perturbations × intensities) × variants × seeds,
+less what `exclude` matches, plus what `include` lists. `cosim.batch.matrix` turns it into single, checked scenarios.
+"""
+
+from typing import Annotated, Any
+
+import msgspec
+from msgspec import Meta, field
+
+from cosim.scenario import Count, Driver, Name, Positive, Seed, Spec
+
+Intensities = Annotated[tuple[float, ...], Meta(min_length=1)]
+NOMINAL = "nominal"  # the perturbation of a run that has none
+PLAIN = "plain"  # the variant of a run that has none
+
+
+class Sweep(Spec, frozen=True, kw_only=True):
+    """One kind of perturbation at several intensities; `settings` are its other fields."""
+
+    kind: str
+    intensities: Intensities
+    settings: dict[str, Any] = field(default_factory=dict)
+
+
+class Seeds(Spec, frozen=True, kw_only=True):
+    """`count` seeds in a row, from `first` on."""
+
+    first: Seed = 1
+    count: Count
+
+
+class Addition(Spec, frozen=True, kw_only=True):
+    """One more run, by the names used in the matrix; what is left out is nominal, plain, the scenario's own seed."""
+
+    scenario: str
+    policy: str | None = None
+    perturbation: str | None = None
+    intensity: float | None = None
+    variant: str | None = None
+    seed: Seed | None = None
+
+
+class Exclusion(Spec, frozen=True, kw_only=True):
+    """Leaves out every run of the matrix that agrees with all the fields given here."""
+
+    scenario: str | None = None
+    policy: str | None = None
+    perturbation: str | None = None
+    intensity: float | None = None
+    variant: str | None = None
+    seed: Seed | None = None
+
+
+class Batch(Spec, frozen=True, kw_only=True):
+    """Many runs. `time_limit` is wall-clock time per run [s], `retries` how often a run that died is tried again.
+
+    `policies` default to each scenario's own, `seeds` to its own seed. `overrides` change fields of every scenario,
+    each of the `variants` is one more set of changes and an axis of the matrix.
+    """
+
+    description: str = ""
+    scenarios: Annotated[tuple[str, ...], Meta(min_length=1)]
+    policies: dict[Name, Driver] = field(default_factory=dict)
+    nominal: bool = True
+    perturbations: dict[Name, Sweep] = field(default_factory=dict)
+    seeds: Annotated[tuple[Seed, ...], Meta(min_length=1)] | Seeds | None = None
+    overrides: dict[str, Any] = field(default_factory=dict)
+    variants: dict[Name, dict[str, Any]] = field(default_factory=dict)
+    include: tuple[Addition, ...] = ()
+    exclude: tuple[Exclusion, ...] = ()
+    time_limit: Positive = 900.0
+    retries: Annotated[int, Meta(ge=0)] = 1
+
+    def __post_init__(self) -> None:
+        for name, taken in ((NOMINAL, self.perturbations), (PLAIN, self.variants)):
+            if name in taken:
+                raise ValueError(f"the name {name!r} is given to runs without one, expected another name")
+        if not self.nominal and not self.perturbations:
+            raise ValueError("nominal is false and there are no perturbations, expected at least one of the two")
+
+    def seed_list(self) -> tuple[int, ...] | None:
+        """The seeds of the matrix; None: each scenario's own."""
+        if isinstance(self.seeds, Seeds):
+            return tuple(range(self.seeds.first, self.seeds.first + self.seeds.count))
+        return self.seeds
+
+
+def json_schema() -> dict[str, Any]:
+    """JSON Schema of a batch file, for editors and for people."""
+    schema = msgspec.json.schema(Batch)
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "cosim batch", **schema}
