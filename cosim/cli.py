@@ -9,9 +9,8 @@ from typing import Annotated, Literal, NoReturn
 
 import msgspec
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+from cosim.terminal import Stages, console, errors, next_command, say
 from gri.errors import InputError
 
 # Each command imports what it needs: torch and SUMO take seconds to import, and `--help` should not.
@@ -48,11 +47,11 @@ def run(
     driver = tag_of(chosen.policy)
     folder = out or next_folder(Path("runs"), f"{Path(scenario).stem}-{driver}-seed{chosen.seed}")
     began = time.monotonic()
-    with run_folder(folder) as partial, _Progress() as progress:
+    with run_folder(folder) as partial, Stages() as progress:
         run_in_worker("cosim.job:run_job", chosen, partial, log=partial / "sumo.log", tell=progress.tell)
     _show(folder)
-    _say(f"\n{time.monotonic() - began:.0f} s. Tables, manifest and picture: {folder}")
-    _next(f"cosim report {folder}" if baseline else f"cosim run {scenario} --baseline idm")
+    say(f"\n{time.monotonic() - began:.0f} s. Tables, manifest and picture: {folder}")
+    next_command(f"cosim report {folder}" if baseline else f"cosim run {scenario} --baseline idm")
 
 
 @app.command()
@@ -66,13 +65,13 @@ def traffic(
     from cosim.worker import run_in_worker
 
     chosen = override(load_scenario(scenario), {} if seed is None else {"seed": seed})
-    with TemporaryDirectory() as scratch, _Progress() as progress:
+    with TemporaryDirectory() as scratch, Stages() as progress:
         log = Path(scratch, "worker.log")
         result = run_in_worker("cosim.job:survey_job", chosen, duration, log=log, tell=progress.tell)
     from cosim.survey import table_of
 
-    _console.print(table_of(chosen, result))
-    _next(f"cosim run {scenario}")
+    console.print(table_of(chosen, result))
+    next_command(f"cosim run {scenario}")
 
 
 @app.command()
@@ -91,8 +90,8 @@ def report(
     _show(run)
     path = run / ("episode.png" if episode is None else f"episode-{episode}.png")
     picture(tables, path, episode)
-    _say(f"\nPicture: {path}")
-    _next(f"python -c \"import pandas; print(pandas.read_parquet('{run}/steps.parquet'))\"")
+    say(f"\nPicture: {path}")
+    next_command(f"python -c \"import pandas; print(pandas.read_parquet('{run}/steps.parquet'))\"")
 
 
 @app.command("list")
@@ -101,14 +100,14 @@ def list_() -> None:
     from cosim.loading import load_scenario, names_of
     from gri.resources import checkpoints, shipped
 
-    _say("[bold]scenarios[/bold]")
+    say("[bold]scenarios[/bold]")
     for name in names_of("scenarios"):
-        _say(f"  {name}  {load_scenario(name).description}")
-    _say("[bold]nets[/bold]")
+        say(f"  {name}  {load_scenario(name).description}")
+    say("[bold]nets[/bold]")
     for path in sorted(shipped("sumo_nets").glob("*/*.net.xml")):
-        _say(f"  {path.parent.name}  {path}")
-    _say(f"[bold]checkpoints[/bold]\n  {', '.join(checkpoints())}")
-    _next("cosim run us101_car_following")
+        say(f"  {path.parent.name}  {path}")
+    say(f"[bold]checkpoints[/bold]\n  {', '.join(checkpoints())}")
+    next_command("cosim run us101_car_following")
 
 
 @app.command()
@@ -119,61 +118,15 @@ def schema() -> None:
     sys.stdout.write(msgspec.json.format(json.dumps(json_schema())) + "\n")
 
 
-class _Progress:
-    """A bar per stage in a terminal; elsewhere a plain line per stage and per quarter of it."""
-
-    def __init__(self) -> None:
-        columns = (
-            TextColumn("{task.description:>10}"),
-            BarColumn(),
-            TextColumn("{task.completed}/{task.total}"),
-        )
-        self._bars = Progress(*columns, TimeElapsedColumn(), console=_errors)
-        self._stages: dict[str, int] = {}
-        self._plain: dict[str, int] = {}
-
-    def __enter__(self) -> "_Progress":
-        if _errors.is_terminal:
-            self._bars.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if _errors.is_terminal:
-            self._bars.stop()
-
-    def tell(self, stage: str, done: int, of: int) -> None:
-        if not _errors.is_terminal:
-            quarter = 4 * done // max(of, 1)
-            if quarter > self._plain.get(stage, -1):
-                self._plain[stage] = quarter
-                _errors.print(f"{stage}: {done}/{of}", highlight=False)
-            return
-        if stage not in self._stages:
-            self._stages[stage] = self._bars.add_task(stage, total=of)
-        self._bars.update(self._stages[stage], completed=done, total=of)  # type: ignore[arg-type]
-
-
-_console = Console(highlight=False)
-_errors = Console(stderr=True, highlight=False)
-
-
-def _say(text: str) -> None:
-    _console.print(text, soft_wrap=True)
-
-
-def _next(command: str) -> None:
-    _console.print(f"Next: [bold]{command}[/bold]", soft_wrap=True)
-
-
 def _show(folder: Path) -> None:
     from cosim.report import summary
     from cosim.results import read_tables
 
-    _console.print(summary(read_tables(folder)["groups"]))
+    console.print(summary(read_tables(folder)["groups"]))
 
 
 def _fail(message: str, code: int) -> NoReturn:
-    _errors.print(f"error: {message}", markup=False, soft_wrap=True)
+    errors.print(f"error: {message}", markup=False, soft_wrap=True)
     sys.exit(code)
 
 
