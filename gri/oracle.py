@@ -101,7 +101,7 @@ def best_response(
     """States of the vehicle under the actions with the highest true return, the best of several climbs."""
     steps, size = given.others.shape[2] - 1, len(dynamics.action)
     others = given.others.double()[:, :, :-1]
-    task = Task(given.start.double(), others, given.kinds, _double(reward), dynamics, dt)
+    task = Task(given.start.double(), others, given.kinds, reward.in_double(), dynamics, dt)
 
     def value(actions: Tensor) -> Tensor:
         action = actions.unflatten(-1, (steps, size))
@@ -117,13 +117,6 @@ def best_response(
     values = torch.stack([value(actions) for actions in summits])
     best = torch.stack(summits)[values.argmax(0), torch.arange(len(others))]
     return task.simulate(best.unflatten(-1, (steps, size))).float()
-
-
-def _double(reward: StructuredReward) -> StructuredReward:
-    """A copy in double precision: line searches stall on rounding errors."""
-    copy = StructuredReward(reward.config)
-    copy.load_state_dict(reward.state_dict())
-    return copy.double().requires_grad_(False)
 
 
 def guesses(count: int, steps: int, size: int, dt: float) -> list[Float[Tensor, "B n"]]:

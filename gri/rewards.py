@@ -47,6 +47,12 @@ class StructuredReward(nn.Module):
             reward.psi[group].data = excess.log()
         return reward
 
+    def in_double(self) -> "StructuredReward":
+        """A fixed copy in double precision: line searches stall on rounding errors."""
+        copy = StructuredReward(self.config)
+        copy.load_state_dict(self.state_dict())
+        return copy.double().requires_grad_(False)
+
     def names(self, group: str) -> tuple[str, ...]:
         return tuple(self.terms.node if group == "node" else self.terms.edge[EdgeType(group)])
 

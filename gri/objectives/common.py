@@ -21,8 +21,15 @@ def reconstruction_loss(
     state: Float[Tensor, "B N T D"], recorded: Float[Tensor, "B N T D"], dynamics: Dynamics
 ) -> Float[Tensor, ""]:
     """Mean squared error of positions and speeds over driven vehicles and time, as the tables report it (SI units)."""
+    return squared_error(state, recorded, dynamics).mean()
+
+
+def squared_error(
+    state: Float[Tensor, "B N T D"], recorded: Float[Tensor, "B N T D"], dynamics: Dynamics
+) -> Float[Tensor, "B R T"]:
+    """Squared error of position and speed of every driven vehicle at every instant."""
     counted = [dynamics.index(name) for name in ("x", "y", "v", "vx", "vy") if name in dynamics.state]
-    return ((state - recorded)[:, :-1, :, counted] ** 2).sum(-1).mean()
+    return ((state - recorded)[:, :-1, :, counted] ** 2).sum(-1)
 
 
 def categorical_kl(logits: Float[Tensor, "B E K"], prior: Float[Tensor, " K"]) -> Float[Tensor, "B E"]:

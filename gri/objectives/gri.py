@@ -17,38 +17,17 @@ from jaxtyping import Float
 from torch import Tensor
 
 from gri.data.synthetic import Scenes, returns
-from gri.dynamics import POINT_MASS_1D, Dynamics
-from gri.graph import InteractionGraph, pairs
+from gri.graph import InteractionGraph
 from gri.laplace import Expansion, combination_prior, expand, log_likelihood, marginals, scene_prior
 from gri.model import RelationalModel
-from gri.neural import edge_ends
 from gri.objectives.common import Descent, batches, reconstruction_loss
 from gri.objectives.graphs import posterior_by_policy
+from gri.objectives.optima import OptimaSettings, distance, optimal_scenes
+from gri.objectives.variation import Augmentation, Shifts, augment, elsewhere
 from gri.progress import Progress, silent
 from gri.rewards import StructuredReward
 from gri.riccati import StepExpansion, expand_steps, log_likelihood_by_steps
 from gri.rollout import rollout
-
-
-class Augmentation(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """What is done to histories before the encoder learns from them; the labels stay."""
-
-    position_noise: float = 0.0  # [m]
-    speed_noise: float = 0.0  # [m/s]
-    stretch: tuple[float, float] = (1.0, 1.0)
-    """Range of factors on each headway's mean over the history: people keep unlike distances."""
-    window: bool = False
-    """Show the encoder `history_steps` successive states from anywhere in the scene instead of all of them.
-    """
-
-
-class Shifts(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How starts are shifted, half of them, before the policy maximises the reward from there; uniform ranges."""
-
-    position: tuple[float, float] = (0.0, 12.0)  # [m]
-    lateral: tuple[float, float] = (0.0, 0.0)  # [m]
-    speed: tuple[float, float] = (0.0, 0.0)  # [m/s]
-    acceleration: tuple[float, float] = (0.0, 0.0)  # [m/s^2]
 
 
 class GroundedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="gri"):
@@ -80,8 +59,13 @@ class GroundedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     return_weight: float = 0.02
     return_fade: float = 1.0
     """Share of the return's weight that is left at the end of its decline: reconstruction has the last word."""
+    optima: OptimaSettings | None = None
+    """Imitate optima of the return away from the data instead of climbing to them beside the reconstruction.
+
+    The policy is planned first, and `return_weight` and `return_fade` are those of the distance to the optima.
+    """
     return_headway: float | None = None
-    """Least starting headway [m] over which a vehicle may react in the roll-outs whose return is maximised.
+    """Least starting headway [m] over which a vehicle may react where the return is maximised away from the data.
 
     None: any. A test of shorter headways is then one of headways never trained.
     """
@@ -101,8 +85,9 @@ def train_grounded(
     generator = torch.Generator().manual_seed(seed)
     fit_reward(model, reward, scenes, settings, generator, progress)
     judged = scenes[: settings.graph_scenes]
-    if settings.judge == "policy":
+    if settings.judge == "policy" or settings.optima is not None:
         plan(model, reward, scenes, settings, generator, progress)
+    if settings.judge == "policy":
         posterior = posterior_by_policy(model, reward, judged, _prior(reward, judged, settings))
     else:
         posterior = scene_posterior(model, reward, judged, settings, progress)
@@ -202,6 +187,10 @@ def fit_encoder_and_policy(
 ) -> None:
     """One update of each per batch; neither sees the other's gradient. The posterior is that of the first scenes."""
     assert model.encoder is not None, "grounded training infers graphs; give the model an encoder"
+    optima = None
+    if settings.optima is not None:
+        begun = _elsewhere(model, scenes, settings, settings.optima.scenes, generator)
+        optima = optimal_scenes(model, reward, *begun, settings.optima, progress)
     to_encoder = Descent(model.encoder.parameters(), settings.encoder_rate, settings.updates)
     to_policy = Descent(model.decoder.parameters(), settings.policy_rate, settings.updates)
     for update, chosen in enumerate(batches(len(scenes), settings.batch, settings.updates, generator)):
@@ -213,8 +202,12 @@ def fit_encoder_and_policy(
         to_encoder.step(-(posterior[known] * shown.logits.log_softmax(-1)).sum(-1).mean())
         driven = rollout(model, batch.start, graph.sample(generator).detach(), batch.leader)
         loss = reconstruction_loss(driven.state, batch.state, model.dynamics)
-        value = grounded_return(model, reward, scenes, settings, settings.return_batch, generator)
-        to_policy.step(loss - settings.return_weight * faded(update / settings.updates, settings.return_fade) * value)
+        if optima is None:
+            away = -grounded_return(model, reward, scenes, settings, settings.return_batch, generator)
+        else:
+            some = torch.randint(0, len(optima), (settings.return_batch,), generator=generator)
+            away = distance(model, optima[some])
+        to_policy.step(loss + settings.return_weight * faded(update / settings.updates, settings.return_fade) * away)
         progress("encoder and policy", update + 1, settings.updates, float(loss.detach()))
 
 
@@ -238,65 +231,13 @@ def grounded_return(
     generator: torch.Generator,
 ) -> Float[Tensor, ""]:
     """Mean learned reward per step under random graphs, half of the starts shifted; each vehicle for itself."""
-    batch = scenes[torch.randint(0, len(scenes), (count,), generator=generator)]
-    start = shift(batch.start, settings.shifts, generator, model.dynamics)
-    graph = random_graphs(count, start.shape[1], len(reward.vocabulary), generator)
-    if settings.return_headway is not None:
-        graph = hold_out(graph, start, settings.return_headway)
-    driven = rollout(model, start, graph, batch.leader, selfish=True)
+    start, leader, graph = _elsewhere(model, scenes, settings, count, generator)
+    driven = rollout(model, start, graph, leader, selfish=True)
     return returns(reward, driven.state, driven.action, graph).mean()
 
 
-def random_graphs(count: int, vehicles: int, types: int, generator: torch.Generator) -> Float[Tensor, "B E K"]:
-    """Every edge is "none" with probability ½, else of any other type, as one-hot vectors."""
-    drawn = torch.randint(0, 2 * (types - 1), (count, len(pairs(vehicles))), generator=generator)
-    drawn = (drawn - (types - 2)).clamp(min=0)
-    return torch.nn.functional.one_hot(drawn, types).float()
-
-
-def hold_out(graph: Float[Tensor, "B E K"], start: Float[Tensor, "B N D"], headway: float) -> Float[Tensor, "B E K"]:
-    """The graphs without the edges whose sender starts less than the headway ahead of the receiver."""
-    senders, receivers = edge_ends(start.shape[1])
-    near = start[:, senders, 0] - start[:, receivers, 0] < headway
-    none = torch.eye(graph.shape[-1])[0].expand_as(graph)
-    return torch.where(near[..., None], none, graph)
-
-
-def shift(
-    start: Float[Tensor, "B N D"],
-    shifts: Shifts,
-    generator: torch.Generator,
-    dynamics: Dynamics = POINT_MASS_1D,
-) -> Float[Tensor, "B N D"]:
-    """Half of the starts with every driven vehicle moved by its own amount; speeds stay at or above zero."""
-    by_feature = {"x": shifts.position, "y": shifts.lateral, "v": shifts.speed, "a": shifts.acceleration}
-    ranges = torch.tensor([by_feature.get(feature, (0.0, 0.0)) for feature in dynamics.state])
-    amount = torch.rand(start.shape, generator=generator) * (ranges[:, 1] - ranges[:, 0]) + ranges[:, 0]
-    amount[:, -1] = 0
-    amount[len(amount) // 2 :] = 0
-    speed = dynamics.index("v")
-    moved = start + amount
-    return torch.cat([moved[..., :speed], moved[..., speed : speed + 1].clamp(min=0), moved[..., speed + 1 :]], -1)
-
-
-def augment(
-    state: Float[Tensor, "B N T D"],
-    augmentation: Augmentation,
-    history_steps: int,
-    generator: torch.Generator,
-    dynamics: Dynamics = POINT_MASS_1D,
-) -> Float[Tensor, "B N S D"]:
-    """Histories for the encoder: a window of the scene, noise, and headways stretched about their mean."""
-    if augmentation.window:
-        first = int(torch.randint(0, state.shape[2] - history_steps + 1, (1,), generator=generator))
-        state = state[:, :, first : first + history_steps]
-    v = dynamics.index("v")
-    position, speed = state[..., 0], state[..., v]
-    headway = (position[:, 1:] - position[:, :-1]).mean(-1)  # Shape: (B, N−1), of the row from back to front
-    low, high = augmentation.stretch
-    factor = low + (high - low) * torch.rand(headway.shape, generator=generator)
-    back = ((factor - 1) * headway).flip(1).cumsum(1).flip(1)  # how far each vehicle but the first falls back
-    position = position - torch.nn.functional.pad(back, (0, 1))[..., None]
-    position = position + augmentation.position_noise * torch.randn(position.shape, generator=generator)
-    speed = speed + augmentation.speed_noise * torch.randn(speed.shape, generator=generator)
-    return torch.cat([position[..., None], state[..., 1:v], speed[..., None], state[..., v + 1 :]], -1)
+def _elsewhere(
+    model: RelationalModel, scenes: Scenes, settings: GroundedSettings, count: int, generator: torch.Generator
+) -> tuple[Tensor, Tensor, Tensor]:
+    types = len(model.config.vocabulary)
+    return elsewhere(scenes, settings.shifts, settings.return_headway, model.dynamics, types, count, generator)

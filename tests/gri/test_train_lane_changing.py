@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import msgspec
 import pytest
 import torch
 
@@ -14,10 +15,13 @@ from gri.encoder import EncoderConfig
 from gri.evaluate import evaluate, papers_graph
 from gri.graph import LANE_CHANGING
 from gri.model import RelationalModel
+from gri.neural import edge_ends
 from gri.objectives.airl import AdversarialSettings
-from gri.objectives.gri import GroundedSettings, Shifts, faded, random_graphs, shift
+from gri.objectives.gri import GroundedSettings, faded
 from gri.objectives.nri import NriSettings
+from gri.objectives.optima import OptimaSettings
 from gri.objectives.supervised import SupervisedSettings
+from gri.objectives.variation import Shifts, elsewhere, random_graphs, shift
 from gri.rewards import LaneRewardConfig
 from gri.train import Objective, TrainConfig, train
 
@@ -43,8 +47,12 @@ STEPWISE = GroundedSettings(
     return_batch=4,
     shifts=Shifts(position=(0.0, 20.0), lateral=(-1.0, 1.0)),
 )
+IMITATED = msgspec.structs.replace(
+    STEPWISE, planner_updates=1, planner_batch=4, optima=OptimaSettings(scenes=8, sweeps=1, iterations=1)
+)
 OBJECTIVES = {
     "gri": STEPWISE,
+    "gri_optima": IMITATED,
     "airl": AdversarialSettings(updates=2, reward_updates=2, batch=4),
     "airl_literal": AdversarialSettings(updates=2, encoder="literal", batch=4),
     "nri": NriSettings(updates=2, batch=4),
@@ -70,8 +78,9 @@ def test_every_objective_trains_and_survives_its_checkpoint(objective: Objective
         torch.testing.assert_close(reward.weights("cut_in"), trained.reward.weights("cut_in"))
 
 
-def test_the_same_seed_gives_the_same_model(splits: Splits):
-    first, again = (train(config(STEPWISE), splits, seed=3).model.state_dict() for _ in range(2))
+@pytest.mark.parametrize("objective", [STEPWISE, IMITATED], ids=["return", "optima"])
+def test_the_same_seed_gives_the_same_model(objective: GroundedSettings, splits: Splits):
+    first, again = (train(config(objective), splits, seed=3).model.state_dict() for _ in range(2))
     assert all(torch.equal(first[name], again[name]) for name in first)
 
 
@@ -108,6 +117,15 @@ def test_starts_are_shifted_along_and_across_the_road(generator: torch.Generator
     assert 1 <= v.min() <= v.max() <= 2
     assert torch.stack(rest).abs().max() == 0
     assert moved[:, 2].abs().max() == moved[100:].abs().max() == 0
+
+
+def test_held_out_headways_have_no_edges(splits: Splits, generator: torch.Generator):
+    start, leader, graph = elsewhere(splits.train, Shifts(position=(0.0, 20.0)), 8.0, DUBINS, 4, 500, generator)
+    assert leader.shape == (500, 30, 6)
+    senders, receivers = edge_ends(3)
+    near = start[:, senders, 0] - start[:, receivers, 0] < 8.0
+    assert (graph[near].argmax(-1) == 0).all()
+    assert (graph[~near].argmax(-1) > 0).float().mean() > 0.4
 
 
 @pytest.mark.slow

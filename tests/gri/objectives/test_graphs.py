@@ -6,7 +6,7 @@ from gri.graph import pairs
 from gri.laplace import scene_prior
 from gri.model import ModelConfig, RelationalModel
 from gri.objectives.graphs import incoming_graph, posterior_by_policy
-from gri.objectives.gri import Augmentation, Shifts, augment, random_graphs, shift
+from gri.objectives.variation import Augmentation, Shifts, augment, random_graphs, shift
 from gri.rewards import StructuredReward
 from gri.rollout import rollout
 
