@@ -9,6 +9,8 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import Meta, Struct, field
 
+from cosim.perturb.specs import Perturbation
+
 Positive = Annotated[float, Meta(gt=0)]
 NonNegative = Annotated[float, Meta(ge=0)]
 Share = Annotated[float, Meta(ge=0, le=1)]
@@ -168,6 +170,7 @@ class Scenario(Spec, frozen=True, kw_only=True):
     traffic: Traffic
     group: GroupRule
     policy: Driver
+    perturbations: tuple[Perturbation, ...] = ()
     seed: Seed = 1
     step: Positive = 0.2
     history: Positive = 5.0

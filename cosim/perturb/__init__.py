@@ -1,0 +1,1 @@
+"""Perturbations of a scenario: what they are (`specs`) and what each of them changes."""
