@@ -18,7 +18,7 @@ from torch import Tensor
 
 from gri import checkpoint, graph_scores, metrics, ood, probes
 from gri.data.store import Splits, scenes_of
-from gri.data.synthetic import sample_starts, true_reward
+from gri.data.synthetic import Scenes, sample_starts, true_reward
 from gri.dynamics import Dynamics, dynamics_named
 from gri.evaluate import believed
 from gri.graph import InteractionGraph, Vocabulary
@@ -78,7 +78,7 @@ def run(job: Job, cache: Path, scenes: Path) -> str:
         checkpoint.save(path, trained.model, trained.reward, trained.provenance)
     trained_in = {name: checkpoint.provenance(path).get(name) for name in ("seconds", "cpu_seconds")}
     began = time.monotonic()
-    result = examine(job, checkpoint.load(path), checkpoint.load_reward(path), splits)
+    result = examine(job, checkpoint.load(path), checkpoint.load_reward(path), splits, cache)
     made = trained_in | {"tests": round(time.monotonic() - began, 1)}
     write(folder / "made.json", made | {"torch": str(torch.__version__), "gri-cosim": version("gri-cosim")})
     write(folder / "result.json", result)
@@ -94,7 +94,9 @@ def write(path: Path, content: Any) -> None:
     os.replace(part, path)
 
 
-def examine(job: Job, model: RelationalModel, reward: StructuredReward | None, splits: Splits) -> dict[str, Any]:
+def examine(
+    job: Job, model: RelationalModel, reward: StructuredReward | None, splits: Splits, cache: Path
+) -> dict[str, Any]:
     """All that tables and figures say of one trained model; the same model gives the same values."""
     scenes = splits.test
     graph = believed(model, scenes)
@@ -108,7 +110,7 @@ def examine(job: Job, model: RelationalModel, reward: StructuredReward | None, s
         "shuffled": None if model.encoder is None else probes.shuffle_agreement(model, scenes),
         "std": spread(job, model, splits),
         "weights": None if reward is None else probes.weights_beside_truth(reward, true),
-        "flip": flips(job, model, splits, true),
+        "flip": flips(job, model, splits.test[:FLIPPED_SCENES], cache),
         "ood_types": types.tolist(),
         "ood": [asdict(point) for point in curve(job, model, types)],
     }
@@ -151,14 +153,31 @@ def spread(job: Job, model: RelationalModel, splits: Splits) -> dict[str, Any]:
     return {"sigma": sigma, "fitted": not own, "along": along}
 
 
-def flips(job: Job, model: RelationalModel, splits: Splits, true: StructuredReward) -> dict[str, Any] | None:
+def flips(job: Job, model: RelationalModel, scenes: Scenes, cache: Path) -> dict[str, Any] | None:
     """Whether edges mean what they say, for scenes that share one true graph and models whose types have meaning."""
     if not job.row.meaning or job.config.data.graphs != "one":
         return None
+    wanted = optimal_changes(job, scenes, cache)
     found = {
-        flip.name: probes.flip_agreement(model, splits.test[:FLIPPED_SCENES], true, flip) for flip in job.scenario.flips
+        flip.name: probes.flip_agreement(model, scenes, flip, torch.tensor(wanted[flip.name]))
+        for flip in job.scenario.flips
     }
     return {name: asdict(share) for name, share in found.items() if share is not None}
+
+
+def optimal_changes(job: Job, scenes: Scenes, cache: Path) -> dict[str, list[float]]:
+    """What every flip changes in the true reward's optimum, kept like a job; it depends on the scenes alone."""
+    data, tested = job.config.data, [asdict(flip) for flip in job.scenario.flips]
+    content = msgspec.json.encode([VERSION, data, data.scene_range, data.shares, tested, len(scenes)])
+    path = cache / f"flips-{job.scenario.name}-{hashlib.sha256(content).hexdigest()[:10]}.json"
+    if not path.is_file():
+        true, dynamics = true_reward(data.scene_range), dynamics_of(job)
+        changes = {
+            flip.name: probes.optimal_change(scenes, true, dynamics, data.scene_range.dt, flip)
+            for flip in job.scenario.flips
+        }
+        write(path, changes)
+    return msgspec.json.decode(path.read_bytes())
 
 
 def forced_types(job: Job, model: RelationalModel, inferred: Tensor) -> Tensor:

@@ -9,8 +9,9 @@ from torch import Tensor
 
 from gri import metrics
 from gri.data.synthetic import Scenes
+from gri.dynamics import Dynamics
 from gri.evaluate import believed
-from gri.graph import EdgeType, InteractionGraph, pairs
+from gri.graph import EdgeType, InteractionGraph, agents_of, pairs
 from gri.graph_scores import shuffled, unshuffled
 from gri.metrics import Summary
 from gri.model import RelationalModel
@@ -91,8 +92,8 @@ class Flip:
     receiver: int
     before: EdgeType
     after: EdgeType
-    effect: Literal["headway", "lateral"]
-    """Final x_i − x_j, or final |y_i − y_j|."""
+    effect: Literal["headway", "order", "lateral"]
+    """Final x_i − x_j, its sign, or final |y_i − y_j|."""
 
     @property
     def name(self) -> str:
@@ -101,42 +102,57 @@ class Flip:
 
 @torch.no_grad()
 def flip_agreement(
-    model: RelationalModel, scenes: Scenes, true: StructuredReward, flip: Flip, least: float = 0.1
+    model: RelationalModel, scenes: Scenes, flip: Flip, wanted: Float[Tensor, " S"], least: float = 0.1
 ) -> Summary | None:
-    """Share of scenes in which the flip moves the effect as it moves it in the optimum of the true reward.
+    """Share of scenes in which the flip moves the effect the way it is wanted.
 
-    The optimum takes the other vehicles as recorded. Scenes in which it changes by less than `least` [m] do not
-    count; None where none is left.
+    Scenes in which it is wanted to change by less than `least` (headway and lateral distance: [m]) do not count; None
+    where none is left.
     """
-    place = pairs(scenes.state.shape[1]).index((flip.sender, flip.receiver))
-    by_model, by_oracle = [], []
+    effects = []
     for kind in (flip.before, flip.after):
-        types = scenes.graph.clone()
-        types[:, place] = model.config.vocabulary.index(kind)
+        types = flipped(scenes.graph, flip, model.config.vocabulary.index(kind))
         graph = InteractionGraph.certain(types, model.config.vocabulary).one_hot
-        driven = rollout(model, scenes.start, graph, scenes.leader).state
-        by_model.append(_effect(flip, driven, model))
-        by_oracle.append(_effect(flip, _with_optimum(scenes, types[0], flip.receiver, true, model), model))
-    wanted, shown = by_oracle[1] - by_oracle[0], by_model[1] - by_model[0]
-    counted = wanted.abs() >= least
+        effects.append(_effect(flip, rollout(model, scenes.start, graph, scenes.leader).state, model.dynamics))
+    shown, counted = effects[1] - effects[0], wanted.abs() >= least
     return metrics.proportion((wanted.sign() == shown.sign())[counted]) if bool(counted.any()) else None
 
 
+def optimal_change(
+    scenes: Scenes, true: StructuredReward, dynamics: Dynamics, dt: float, flip: Flip
+) -> Float[Tensor, " S"]:
+    """How the flip changes the effect in the optimum of the true reward.
+
+    The receiver's optimum takes the other vehicles as recorded; all scenes must share one graph.
+    """
+    effects = []
+    for kind in (flip.before, flip.after):
+        types = flipped(scenes.graph[:1], flip, true.vocabulary.index(kind))[0]
+        effects.append(_effect(flip, _with_optimum(scenes, types, flip.receiver, true, dynamics, dt), dynamics))
+    return effects[1] - effects[0]
+
+
+def flipped(graph: Int[Tensor, "S E"], flip: Flip, kind: int) -> Int[Tensor, "S E"]:
+    """The graphs with the flip's edge of the given type."""
+    types = graph.clone()
+    types[:, pairs(agents_of(graph.shape[1])).index((flip.sender, flip.receiver))] = kind
+    return types
+
+
 def _with_optimum(
-    scenes: Scenes, types: Int[Tensor, " E"], vehicle: int, true: StructuredReward, model: RelationalModel
+    scenes: Scenes, types: Int[Tensor, " E"], vehicle: int, true: StructuredReward, dynamics: Dynamics, dt: float
 ) -> Float[Tensor, "S N T D"]:
-    """The recorded scenes with one vehicle on its optimum under a graph that all of them share."""
     n = scenes.state.shape[1]
     others = [i for i in range(n) if i != vehicle]
     kinds = tuple(int(types[pairs(n).index((i, vehicle))]) for i in others)
-    given = Given(scenes.state[:, vehicle, 0], scenes.state[:, others], kinds)
     state = scenes.state.clone()
-    state[:, vehicle] = best_response(given, true, model.dynamics, model.dt)
+    state[:, vehicle] = best_response(Given(state[:, vehicle, 0], state[:, others], kinds), true, dynamics, dt)
     return state
 
 
-def _effect(flip: Flip, state: Float[Tensor, "S N T D"], model: RelationalModel) -> Float[Tensor, " S"]:
+def _effect(flip: Flip, state: Float[Tensor, "S N T D"], dynamics: Dynamics) -> Float[Tensor, " S"]:
     between = state[:, flip.sender, -1] - state[:, flip.receiver, -1]
-    if flip.effect == "headway":
-        return between[:, model.dynamics.index("x")]
-    return between[:, model.dynamics.index("y")].abs()
+    if flip.effect == "lateral":
+        return between[:, dynamics.index("y")].abs()
+    headway = between[:, dynamics.index("x")]
+    return headway.sign() if flip.effect == "order" else headway

@@ -48,9 +48,11 @@ class Scenario:
 NONE, FOLLOW, YIELD, CUT_IN = EdgeType
 FOLLOWING_FLIPS = (Flip(1, 0, NONE, FOLLOW, "headway"),)
 LANE_FLIPS = (
+    Flip(2, 0, NONE, FOLLOW, "headway"),
     Flip(2, 0, NONE, FOLLOW, "lateral"),
     Flip(2, 0, FOLLOW, YIELD, "lateral"),
     Flip(0, 1, YIELD, CUT_IN, "headway"),
+    Flip(0, 1, YIELD, CUT_IN, "order"),
 )
 GRI = Row("GRI", "", "GRI", ("table1", "table3", "ood"))
 SUPERVISED = Row("Supervised", "_supervised", "Supervised", ("table1", "ood"))
@@ -88,7 +90,16 @@ SCENARIOS = (
         "",
         MIXED_ROWS,
     ),
-    Scenario("lane_changing", "Lane changing", "lane_changing", ("x", "y", "v"), LANE_PROTOCOL, "lane_changing", ROWS),
+    Scenario(
+        "lane_changing",
+        "Lane changing",
+        "lane_changing",
+        ("x", "y", "v"),
+        LANE_PROTOCOL,
+        "lane_changing",
+        ROWS,
+        LANE_FLIPS,
+    ),
     Scenario(
         "lane_changing_mixed",
         "Lane changing, the true graph differs from scene to scene",

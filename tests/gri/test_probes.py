@@ -8,10 +8,19 @@ from gri import probes
 from gri.data.ranges import PAPER
 from gri.data.synthetic import Scenes, make_scenes, model_config, true_reward
 from gri.decoder import DecoderConfig
+from gri.dynamics import POINT_MASS_1D
 from gri.encoder import EncoderConfig
 from gri.graph import EdgeType
 from gri.model import ModelConfig, RelationalModel
-from gri.probes import Flip, fitted_sigma, flip_agreement, sampled_states, shuffle_agreement, std_along_horizon
+from gri.probes import (
+    Flip,
+    fitted_sigma,
+    flip_agreement,
+    optimal_change,
+    sampled_states,
+    shuffle_agreement,
+    std_along_horizon,
+)
 from gri.rewards import StructuredReward
 
 
@@ -79,7 +88,20 @@ def test_flips_are_judged_where_the_optimum_moves(model, scenes, monkeypatch):
     probes_rollout = probes.rollout(model, scenes.start, scenes.one_hot(2), scenes.leader)
     monkeypatch.setattr(probes, "best_response", optimum)
     monkeypatch.setattr(probes, "rollout", driven)
-    found = flip_agreement(model, scenes, true_reward(PAPER), flip)
+    wanted = optimal_change(scenes, true_reward(PAPER), POINT_MASS_1D, 0.2, flip)
+    torch.testing.assert_close(wanted, torch.tensor([2.0, 2.0, -2.0, 0.0, 0.0, 0.0]))
+    found = flip_agreement(model, scenes, flip, wanted)
     assert found is not None
     assert found.scenes == 3
     assert found.mean == pytest.approx(2 / 3)
+
+
+def test_order_changes_where_the_headway_changes_its_sign():
+    state = torch.zeros(3, 2, 2, 3)
+    state[:, 1, -1, 0] = torch.tensor([4.0, -1.0, 0.5])
+    ahead, order = (
+        probes._effect(Flip(1, 0, EdgeType.NONE, EdgeType.FOLLOW, name), state, POINT_MASS_1D)
+        for name in ("headway", "order")
+    )
+    assert ahead.tolist() == [4.0, -1.0, 0.5]
+    assert order.tolist() == [1.0, -1.0, 1.0]
