@@ -1,8 +1,9 @@
 """One run from a scenario to a run folder; what `cosim run` does in its worker process."""
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import torch
@@ -28,8 +29,18 @@ def survey_job(scenario: Scenario, duration: float, tell: Callable[..., None]) -
         return survey(scenario, files, duration, tell)
 
 
-def run_job(scenario: Scenario, folder: Path, tell: Callable[..., None]) -> None:
-    """Run the scenario and write its tables, manifest and picture into an existing folder."""
+def run_job(
+    scenario: Scenario,
+    folder: Path,
+    tell: Callable[..., None],
+    *,
+    labels: Mapping[str, Any] | None = None,
+    draw: bool = True,
+) -> None:
+    """Run the scenario and write its tables, manifest and (with `draw`) a picture into an existing folder.
+
+    Labels, which say what the run is among others, become the first columns of the groups table.
+    """
     torch.set_num_threads(1)  # the models are tiny: more threads are slower
     net, policy = find_net(scenario.net), policy_of(scenario)
     with tempfile.TemporaryDirectory() as scratch:
@@ -47,7 +58,7 @@ def run_job(scenario: Scenario, folder: Path, tell: Callable[..., None]) -> None
     expected = expected_graph(scenario.group)
     tables = {
         "steps": results.steps_table(episodes),
-        "groups": results.groups_table(episodes, expected),
+        "groups": results.labelled(results.groups_table(episodes, expected), labels or {}),
         "events": results.events_table(episodes),
     }
     results.write_tables(folder, tables)
@@ -66,5 +77,6 @@ def run_job(scenario: Scenario, folder: Path, tell: Callable[..., None]) -> None
         "routes_sha256": routes,
     }
     results.write_manifest(folder, results.manifest(run_facts, inputs, folder))
-    tell("picture", 0, 1)
-    picture(tables, folder / "episode.png")
+    if draw:
+        tell("picture", 0, 1)
+        picture(tables, folder / "episode.png")

@@ -95,6 +95,12 @@ def _belief(episode: Episode, expected: Mapping[tuple[int, int], EdgeType]) -> d
     return belief
 
 
+def labelled(table: pd.DataFrame, labels: Mapping[str, Any]) -> pd.DataFrame:
+    """The table with a constant column per label in front; None is a missing number."""
+    columns = {name: np.nan if value is None else value for name, value in labels.items()}
+    return pd.concat([pd.DataFrame(columns, index=table.index), table], axis=1)
+
+
 def events_table(episodes: Sequence[Episode]) -> pd.DataFrame:
     """One row per event."""
     rows = [

@@ -13,6 +13,7 @@ from cosim.report import most_eventful, picture, summary
 from cosim.results import (
     events_table,
     groups_table,
+    labelled,
     manifest,
     next_folder,
     read_tables,
@@ -66,6 +67,15 @@ def test_steps_have_a_row_per_instant_and_vehicle(tables):
     assert first["gap"].iloc[:2].tolist() == pytest.approx([15.0, 15.0])
     assert np.isnan(first["gap"].iloc[2])
     assert np.isinf(first["ttc"].iloc[:2]).all()
+
+
+def test_labels_stand_in_front_and_none_is_missing(tables):
+    table = labelled(tables["groups"], {"run": "ab12", "intensity": None, "seed": 3})
+    assert list(table.columns[:4]) == ["run", "intensity", "seed", "episode"]
+    assert table["run"].tolist() == ["ab12", "ab12"]
+    assert table["intensity"].isna().all()
+    assert table["intensity"].dtype == float
+    pd.testing.assert_frame_equal(table[tables["groups"].columns], tables["groups"])
 
 
 def test_groups_say_who_how_and_what_was_believed(tables):
