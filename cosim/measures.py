@@ -8,6 +8,7 @@ those of oriented boxes (`cosim.safety`).
 Sources: TTC Hayward (1972); DRAC Cooper and Ferguson (1976); PET Allen, Shin and Cooper (1978); SUMO doc: SSM Device.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import permutations
 
@@ -36,6 +37,11 @@ class Track:
     heading: Times
     length: float
     width: float
+
+    def __getitem__(self, rows: Bool[np.ndarray, " T"] | slice) -> "Track":
+        """The same vehicle at some of the instants."""
+        columns = (self.time, self.s, self.d, self.v, self.a, self.xy, self.heading)
+        return Track(*(column[rows] for column in columns), self.length, self.width)
 
 
 def behind(follower: Track, leader: Track) -> Bool[np.ndarray, " T"]:
@@ -152,36 +158,45 @@ def lateral_change(one: Track, other: Track) -> float:
     return float(apart[-1] - apart[0])
 
 
-@dataclass(frozen=True)
-class Effect:
-    """What a drive did to a vehicle behind it."""
+def effect_on(follower: Track) -> dict[str, float]:
+    """What a drive did to a vehicle behind it: its hardest acceleration and lost speed after the first instant.
 
-    min_acceleration: float  # [m/s^2]
-    speed_loss: float  # [m/s], from the start to the slowest instant
-
-
-def effect_on(follower: Track) -> Effect:
-    """How hard a vehicle brakes and how much speed it loses after its first instant."""
-    return Effect(float(follower.a[1:].min()), float(follower.v[0] - follower.v.min()))
-
-
-def group_measures(tracks: tuple[Track, ...], owned: tuple[int, ...]) -> dict[str, float]:
-    """The worst value of each safety measure over all pairs with an owned vehicle, and the owned vehicles' comfort.
-
-    Keys: min_ttc, max_drac, min_pet, min_headway [s], min_gap [m] (between boxes), lateral_change (vehicles 0 and 1),
-    jerk_50, jerk_95, jerk_99 (quantiles of |jerk| over owned vehicles and instants), min_acceleration, hard_brakings.
+    Keys: follower_min_acceleration [m/s²], follower_speed_loss [m/s] from the first instant to the slowest one.
     """
-    pairs = [(tracks[i], tracks[j]) for i, j in permutations(range(len(tracks)), 2) if {i, j} & set(owned)]
-    mine = [tracks[i] for i in owned]
-    size = np.quantile(np.abs(np.concatenate([jerk(track) for track in mine])), JERK_QUANTILES)
     return {
-        "min_ttc": min(float(ttc(i, j).min()) for i, j in pairs),
-        "max_drac": max(float(drac(i, j).max()) for i, j in pairs),
-        "min_pet": min(pet(i, j) for i, j in pairs),
-        "min_headway": min(float(time_headway(i, j).min()) for i, j in pairs),
-        "min_gap": min(float(box_distance(i, j).min()) for i, j in pairs),
-        "lateral_change": lateral_change(tracks[1], tracks[0]),
-        **{f"jerk_{100 * q:.0f}": float(value) for q, value in zip(JERK_QUANTILES, size, strict=True)},
-        "min_acceleration": min(float(track.a.min()) for track in mine),
-        "hard_brakings": float(sum(hard_brakings(track) for track in mine)),
+        "follower_min_acceleration": float(follower.a[1:].min(initial=np.inf)),
+        "follower_speed_loss": float(follower.v[0] - follower.v.min()),
+    }
+
+
+def conflicts(tracks: Sequence[Track], concerned: Sequence[int]) -> dict[str, float]:
+    """The worst value of each safety measure over all pairs with a concerned vehicle, while both are there.
+
+    Keys: min_ttc, max_drac, min_pet, min_headway [s], min_gap [m] (between boxes).
+    """
+    pairs = [_together(tracks[i], tracks[j]) for i, j in permutations(range(len(tracks)), 2) if {i, j} & set(concerned)]
+    pairs = [(i, j) for i, j in pairs if len(i.time) > 1]
+    return {
+        "min_ttc": min((float(ttc(i, j).min()) for i, j in pairs), default=np.inf),
+        "max_drac": max((float(drac(i, j).max()) for i, j in pairs), default=0.0),
+        "min_pet": min((pet(i, j) for i, j in pairs), default=np.inf),
+        "min_headway": min((float(time_headway(i, j).min()) for i, j in pairs), default=np.inf),
+        "min_gap": min((float(box_distance(i, j).min()) for i, j in pairs), default=np.inf),
+    }
+
+
+def _together(one: Track, other: Track) -> tuple[Track, Track]:
+    """Both at the instants at which both are there."""
+    times = np.intersect1d(one.time, other.time)
+    return one[np.isin(one.time, times)], other[np.isin(other.time, times)]
+
+
+def comfort(tracks: Sequence[Track]) -> dict[str, float]:
+    """Of all these vehicles: jerk_50, jerk_95, jerk_99 (quantiles of |jerk|), min_acceleration, hard_brakings."""
+    size = np.abs(np.concatenate([jerk(track) for track in tracks]))
+    quantiles = np.quantile(size, JERK_QUANTILES) if len(size) else np.zeros(len(JERK_QUANTILES))
+    return {
+        **{f"jerk_{100 * q:.0f}": float(value) for q, value in zip(JERK_QUANTILES, quantiles, strict=True)},
+        "min_acceleration": min(float(track.a.min()) for track in tracks),
+        "hard_brakings": float(sum(hard_brakings(track) for track in tracks)),
     }

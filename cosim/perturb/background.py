@@ -9,6 +9,7 @@ from cosim.perturb.specs import LeaderBraking, NeighbourCutIn
 from cosim.perturb.start import Cars
 
 Steps = Float[np.ndarray, " T"]
+LANE_WIDTH = 3.66  # [m], twelve feet
 
 
 @dataclass(frozen=True)
@@ -34,26 +35,29 @@ def braking(vehicle: str, s: float, d: float, v: float, spec: LeaderBraking, dt:
     return Plan(vehicle, _along(s, speed, dt), np.full(steps, d), np.zeros(steps), speed[1:])
 
 
-def cutter(group: Cars, others: Cars, spec: NeighbourCutIn, lane_width: float) -> int | None:
-    """Row of the neighbour that fits between 1 and 2 of the group, the one nearest to 1; None where there is none."""
-    low, high = group.s[1] + spec.clearance, group.s[2] - group.length[2] - spec.clearance
-    across = np.abs(others.d - group.d[1])
-    beside = (across > 0.5 * lane_width) & (across < 1.5 * lane_width)
+def cutter(group: Cars, follower: int, others: Cars, spec: NeighbourCutIn) -> int | None:
+    """Row of the neighbour that fits between vehicle 2 and its follower, the one nearest to that; None without one.
+
+    It is beside the lane of vehicle 2 and, along the road, clear of both by `spec.clearance`.
+    """
+    low, high = group.s[follower] + spec.clearance, group.s[2] - group.length[2] - spec.clearance
+    across = np.abs(others.d - group.d[2])
+    beside = (across > 0.5 * LANE_WIDTH) & (across < 1.5 * LANE_WIDTH)
     fits = np.flatnonzero(beside & (others.s - others.length > low) & (others.s < high))
     return int(fits[np.argmin(others.s[fits])]) if len(fits) else None
 
 
 def cutting_in(
-    vehicle: str, own: tuple[float, float, float], lane: float, v1: float, spec: NeighbourCutIn, dt: float
+    vehicle: str, own: tuple[float, float, float], lane: float, behind: float, spec: NeighbourCutIn, dt: float
 ) -> Plan:
-    """Change from (s, d, v) to the lateral position `lane` and brake to `v1` − intensity.
+    """Change from (s, d, v) to the lateral position `lane` and brake to `behind` [m/s] − intensity.
 
     Sideways it follows a half cosine in `spec.lateral_time`; the heading is the direction of travel.
     """
     s, d, v = own
     steps = round(spec.duration / dt)
     time = dt * np.arange(steps + 1)
-    wanted = max(v1 - spec.intensity, 0.0)
+    wanted = max(behind - spec.intensity, 0.0)
     slower = np.maximum(v - spec.deceleration * time, min(wanted, v))
     share = 0.5 * (1 - np.cos(np.pi * np.clip(time / spec.lateral_time, 0, 1)))
     sideways = d + (lane - d) * share

@@ -76,11 +76,12 @@ class LeaderBraking(Spec, frozen=True, tag="leader_braking"):
 
 
 class NeighbourCutIn(Spec, frozen=True, tag="neighbour_cut_in"):
-    """A neighbour beside the gap between 1 and 2 changes into it in 2 s, and becomes vehicle 2 for the policy.
+    """A neighbour cuts in between vehicle 2 and its follower in 2 s, and is vehicle 2 for the policy from then on.
 
-    Meanwhile it brakes at 3 m/s² to a speed so much below vehicle 1's at the take-over, keeps that to the end of the
-    fourth second, and is then SUMO's again. It is vehicle 2 from the moment its centre is in the lane. A group without
-    a neighbour that fits into its gap, 1 m clear of both, is infeasible.
+    Vehicle 2's follower is 1 in car following and 0 in a merge. The neighbour brakes at 3 m/s² to a speed so much below
+    the follower's at the take-over, keeps that to the end of the fourth second, and is then SUMO's again. It counts as
+    vehicle 2 once its centre is within 1 m of the lane's. A group without a neighbour that fits into the gap, 1 m clear
+    of both, is infeasible.
     """
 
     lateral_time: ClassVar[float] = 2.0  # [s]

@@ -117,25 +117,36 @@ def test_lateral_change_and_effect_by_hand():
     """Together from 3.5 to 0.5 m: Δy = −3. A follower that brakes from 12 to 9 m/s loses 3."""
     assert measures.lateral_change(track(0.0, 1.0, d=[3.5, 0.5]), track(9.0, 1.0)) == -3.0
     effect = measures.effect_on(track(0.0, [12.0, 9.0, 11.0], time=[0, 1, 2], a=[-7.0, -3.0, 2.0]))
-    assert (effect.min_acceleration, effect.speed_loss) == (-3.0, 3.0)
+    assert effect == {"follower_min_acceleration": -3.0, "follower_speed_loss": 3.0}
 
 
-def test_group_measures_take_the_worst_pair_with_an_owned_vehicle():
+def test_conflicts_are_the_worst_of_all_pairs_with_a_concerned_vehicle():
     tracks = (track(0.0, 15.0), track(30.0, 10.0), track(50.0, 10.0))
-    found = measures.group_measures(tracks, (0, 1))
+    found = measures.conflicts(tracks, (0, 1))
     assert found["min_ttc"] == 5.0
     assert found["max_drac"] == 0.5
     assert found["min_gap"] == 15.0
     assert found["min_headway"] == 2.0
-    assert found["hard_brakings"] == 0
-    alone = measures.group_measures(tracks, (2,))
-    assert alone["min_ttc"] == 9.0  # 0 behind 2: 50 − 5 m net, closing at 5 m/s
+    assert measures.conflicts(tracks, (2,))["min_ttc"] == 9.0  # 0 behind 2: 50 − 5 m net, closing at 5 m/s
+
+
+def test_conflicts_are_looked_for_only_while_both_are_there():
+    short = track([100.0, 5.0], 0.0, time=[1.0, 2.0])
+    long = track([0.0, 10.0, 20.0, 30.0], 10.0, time=[0.0, 1.0, 2.0, 3.0])
+    assert measures.conflicts((long, short), (0,))["min_headway"] == 9.0  # at 1 s: (100 − 10)/10
+    assert measures.conflicts((long, track(5.0, 0.0, time=[7.0, 8.0])), (0,))["min_ttc"] == np.inf
+
+
+def test_comfort_of_several_vehicles():
+    calm, braking = track(0.0, 1.0, time=[0, 1, 2]), track(0.0, 1.0, time=[0, 1, 2], a=[0, -6, 0])
+    found = measures.comfort((calm, braking))
+    assert found == {"jerk_50": 3.0, "jerk_95": 6.0, "jerk_99": 6.0, "min_acceleration": -6.0, "hard_brakings": 1.0}
 
 
 def test_measures_do_not_depend_on_where_the_road_begins():
     tracks = (track([0.0, 14], 15.0), track([30.0, 41], 10.0), track([50.0, 60], 10.0))
     moved = tuple(replace(t, s=t.s + 777, xy=t.xy + np.array([777.0, 0.0])) for t in tracks)
-    assert measures.group_measures(moved, (0, 1)) == pytest.approx(measures.group_measures(tracks, (0, 1)))
+    assert measures.conflicts(moved, (0, 1)) == pytest.approx(measures.conflicts(tracks, (0, 1)))
 
 
 # SUMO's SSM device

@@ -40,7 +40,7 @@ def test_who_cuts_in_fits_into_the_gap():
     spec = NeighbourCutIn(intensity=0.0)
 
     def chosen(*others):
-        return cutter(GROUP, cars(*others), spec, LANE)
+        return cutter(GROUP, 1, cars(*others), spec)
 
     assert chosen((125, LANE, 9)) is None
     assert chosen((127, LANE, 9)) == 0
