@@ -1,22 +1,21 @@
 """The `gri` command: make scenes, train, evaluate, reproduce."""
 
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
 import msgspec
 import torch
 import typer
-from rich.console import Console
 from rich.markup import escape
-from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
 from gri import checkpoint, resources
 from gri.data.store import Splits, scenes_of, scenes_path
+from gri.display import Bar, console, next_command
 from gri.errors import InputError
 from gri.evaluate import Evaluation, evaluate
+from gri.ngsim_cli import app as ngsim_app
 from gri.reproduce import TABLES, Plan
 from gri.train import TrainConfig, read_train_config, train
 
@@ -26,7 +25,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Learn which vehicle heeds which, and drive by it: data, train, evaluate, reproduce.",
 )
-console = Console()
+app.add_typer(ngsim_app, name="ngsim")
 
 ConfigArgument = Annotated[str, typer.Argument(help="A YAML file, or the name of one in scenarios/train.")]
 ScenesOption = Annotated[Path, typer.Option("--scenes", help="Folder in which scenes are kept.")]
@@ -40,7 +39,7 @@ def data(config: ConfigArgument, scenes: ScenesOption = SCENES) -> None:
     splits = _scenes(chosen, scenes)
     sizes = f"{len(splits.train)} + {len(splits.validation)} + {len(splits.test)}"
     console.print(f"{sizes} scenes in {scenes_path(chosen.data, scenes)}")
-    _next(f"gri train {config}")
+    next_command(f"gri train {config}")
 
 
 @app.command(name="train")
@@ -54,11 +53,11 @@ def train_command(
     chosen = _read(config)
     path = out or Path("runs") / f"{chosen.name}-s{seed}.pt"
     splits = _scenes(chosen, scenes)
-    with _Bar() as progress:
+    with Bar() as progress:
         trained = train(chosen, splits, seed, progress)
     checkpoint.save(path, trained.model, trained.reward, trained.provenance)
     console.print(f"trained in {trained.provenance['seconds']} s, wrote {path}")
-    _next(f"gri evaluate {path}")
+    next_command(f"gri evaluate {path}")
 
 
 @app.command(name="evaluate")
@@ -73,7 +72,7 @@ def evaluate_command(
         raise InputError(f"{path}: does not say which scenes it belongs to; evaluate one written by `gri train`")
     splits = _scenes(msgspec.convert(made["config"], TrainConfig), scenes)
     console.print(_table(path.stem, evaluate(model, splits.test), len(splits.test)))
-    _next("cosim --help")
+    next_command("cosim --help")
 
 
 @app.command(name="reproduce")
@@ -96,7 +95,7 @@ def reproduce_command(
         raise InputError(f"got {target}, wanted one of {', '.join(TABLES)}")
     plan = Plan(target, seeds, test, out, cache, scenes, scenario, tuple(row or ()), quick, processes)  # type: ignore[arg-type]
     try:
-        with _Bar() as progress:
+        with Bar() as progress:
             written = publish(plan, progress)
     except KeyboardInterrupt:
         console.print("interrupted; the same command goes on from here")
@@ -104,7 +103,7 @@ def reproduce_command(
     for path in written:
         console.print(str(path), soft_wrap=True)
     following = {"table1": "gri reproduce table3", "table3": "gri reproduce ood", "ood": "gri reproduce figures"}
-    _next(following.get(target, "cosim --help"))
+    next_command(following.get(target, "cosim --help"))
 
 
 def _read(config: str) -> TrainConfig:
@@ -119,35 +118,8 @@ def _read(config: str) -> TrainConfig:
 
 
 def _scenes(config: TrainConfig, folder: Path) -> Splits:
-    with _Bar() as progress:
+    with Bar() as progress:
         return scenes_of(config.data, folder, progress)
-
-
-class _Bar:
-    """A progress display, or lines where there is no terminal, that can be called as a `gri.progress.Progress`."""
-
-    def __init__(self) -> None:
-        columns = [TextColumn("{task.description}"), BarColumn(), TextColumn("{task.completed}/{task.total}")]
-        self.display = Progress(
-            *columns, TextColumn("{task.fields[value]:.4g}"), TimeRemainingColumn(), console=console
-        )
-        self.tasks: dict[str, TaskID] = {}
-
-    def __enter__(self) -> Callable[[str, int, int, float], None]:
-        self.display.__enter__()
-        return self._show
-
-    def __exit__(self, *error: object) -> None:
-        self.display.stop()
-
-    def _show(self, what: str, done: int, total: int, value: float) -> None:
-        if not console.is_terminal:  # a line for every tenth, so that a log file can be watched
-            if done * 10 // total > (done - 1) * 10 // total:
-                console.print(f"{what} {done}/{total} {value:.4g}")
-            return
-        if what not in self.tasks:
-            self.tasks[what] = self.display.add_task(what, total=total, value=value)
-        self.display.update(self.tasks[what], completed=done, value=value)
 
 
 def _table(name: str, result: Evaluation, scenes: int) -> Table:
@@ -162,10 +134,6 @@ def _table(name: str, result: Evaluation, scenes: int) -> Table:
     for kind, value in result.f1.items():
         table.add_row(f"F1 of type {kind}", f"{value:.4f}", "")
     return table
-
-
-def _next(command: str) -> None:
-    console.print(f"next: [bold]{command}[/bold]", soft_wrap=True)
 
 
 def main() -> None:

@@ -1,0 +1,124 @@
+"""From NGSIM files to a scene file."""
+
+import hashlib
+import tempfile
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+import numpy as np
+
+from gri.data.ngsim.car_following import triples
+from gri.data.ngsim.columns import FRAME
+from gri.data.ngsim.defects import Quality, clean
+from gri.data.ngsim.lane_changing import GRAPHS, Reading, groups
+from gri.data.ngsim.recordings import Recording, shelve
+from gri.data.ngsim.rules import FREEWAYS, Rules, splits_of
+from gri.data.ngsim.smoothing import Motion, smoothed
+from gri.data.scenes_file import Header, SceneBlock, names_of, writing
+from gri.errors import InputError
+from gri.model import CHAIN
+from gri.progress import Progress, silent
+
+Kind = Literal["car_following", "lane_changing_h1", "lane_changing_h2"]
+READINGS: dict[Kind, Reading] = {"lane_changing_h1": "H1", "lane_changing_h2": "H2"}
+KINDS: tuple[Kind, ...] = ("car_following", *READINGS)
+
+
+@dataclass(frozen=True)
+class Extracted:
+    """How many scenes came out, and why candidates were turned down."""
+
+    scenes: Counter[tuple[str, str, str]]
+    """By (site, kind, split)."""
+    rejected: Counter[tuple[str, str]]
+    """By (kind, reason)."""
+    reports: tuple[Quality, ...]
+
+
+def inspect(path: Path, site: str | None = None, progress: Progress = silent) -> tuple[list[Quality], dict[str, int]]:
+    """The data report of every recording of a file, and how many rows of each site could not be read."""
+    with tempfile.TemporaryDirectory(prefix="gri-ngsim-") as folder:
+        shelf = shelve(path, Path(folder), site, progress)
+        return [clean(recording)[1] for recording in shelf], dict(shelf.unreadable)
+
+
+def extract(
+    paths: Sequence[Path],
+    out: Path,
+    rules: Rules,
+    kinds: Sequence[Kind] = KINDS,
+    site: str | None = None,
+    progress: Progress = silent,
+) -> Extracted:
+    """Write all scenes of the files; the same files, rules and versions give the same bytes."""
+    scenes: Counter[tuple[str, str, str]] = Counter()
+    rejected: Counter[tuple[str, str]] = Counter()
+    reports: list[Quality] = []
+    with writing(out, _header(paths, rules, kinds, site)) as write:
+        for path in paths:
+            with tempfile.TemporaryDirectory(prefix="gri-ngsim-") as folder:
+                for recording in shelve(path, Path(folder), site, progress):
+                    motion, quality = _motion(recording, rules, rejected)
+                    reports.append(quality)
+                    for kind in kinds if motion is not None else ():
+                        assert motion is not None
+                        block, counts = _scenes(kind, recording, motion, rules)
+                        rejected.update({(kind, reason): count for reason, count in counts.items()})
+                        scenes.update((recording.site, kind, str(split)) for split in block.split)
+                        if len(block.split):
+                            write(block)
+        if not scenes:
+            raise InputError(f"{', '.join(map(str, paths))}: no scene keeps the rules; see `gri ngsim inspect`")
+    return Extracted(scenes, rejected, tuple(reports))
+
+
+def _motion(recording: Recording, rules: Rules, rejected: Counter[tuple[str, str]]) -> tuple[Motion | None, Quality]:
+    tracks, quality = clean(recording)
+    if recording.site not in FREEWAYS and recording.site in ("lankershim", "peachtree"):
+        rejected["all", f"recording of {recording.site}, a city street"] += 1
+        return None, quality
+    return smoothed(tracks, rules.smoothing), quality
+
+
+def _scenes(kind: Kind, recording: Recording, motion: Motion, rules: Rules) -> tuple[SceneBlock, Counter[str]]:
+    counts: Counter[str] = Counter()
+    if reading := READINGS.get(kind):
+        rows, edges = groups(motion, rules, reading, counts), GRAPHS[reading]
+    else:
+        rows, edges = triples(motion, rules, counts), {(e.sender, e.receiver): e.type for e in CHAIN}
+    features = {name: getattr(motion, name)[rows] for name in ("x", "vx", "ax")}
+    features |= {"v": features["vx"], "a": features["ax"]}  # along the road: headings were not recorded
+    if len(motion) and np.ptp(motion.y) > 0:
+        features |= {name: getattr(motion, name)[rows] for name in ("y", "vy", "ay")}
+    first = int(recording.rows["frame"].min())
+    vehicle = motion.vehicle[rows[:, :, 0]]
+    block = SceneBlock(
+        kind=kind,
+        source=np.full(len(rows), recording.site, object),
+        recording=np.full(len(rows), recording.name, object),
+        split=splits_of(vehicle[:, 0], rules),
+        start=(motion.step[rows[:, 0, 0]] * rules.smoothing.every - first) * FRAME,
+        vehicle=vehicle,
+        features=features,
+        edges=np.broadcast_to(names_of(edges), (len(rows), 6)),
+        size={name: getattr(motion, name)[rows[:, :, 0]] for name in ("length", "width")},
+    )
+    return block, counts
+
+
+def _header(paths: Sequence[Path], rules: Rules, kinds: Sequence[Kind], site: str | None) -> Header:
+    files = [{"name": path.name, "sha256": _hash(path)} for path in paths]
+    made = {"files": files, "rules": msgspec.to_builtins(rules), "kinds": list(kinds), "site": site}
+    return Header(dt=rules.smoothing.dt, provenance={"made by": f"gri-cosim {version('gri-cosim')}", "ngsim": made})
+
+
+def _hash(path: Path) -> str:
+    if not path.is_file():
+        raise InputError(f"{path}: no such file; give NGSIM trajectory files (.txt, .csv, .gz or .zip)")
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()
