@@ -62,8 +62,10 @@ class GroundedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     optima: OptimaSettings | None = None
     """Imitate optima of the return away from the data instead of climbing to them beside the reconstruction.
 
-    The policy is planned first, and `return_weight` and `return_fade` are those of the distance to the optima.
+    The policy is planned first; the return's batch, weight and fade become those of the distance to the optima.
     """
+    optima_scale: float = 0.5
+    """Distance [m] from which on being far from an optimum counts linearly only."""
     return_headway: float | None = None
     """Least starting headway [m] over which a vehicle may react where the return is maximised away from the data.
 
@@ -206,7 +208,7 @@ def fit_encoder_and_policy(
             away = -grounded_return(model, reward, scenes, settings, settings.return_batch, generator)
         else:
             some = torch.randint(0, len(optima), (settings.return_batch,), generator=generator)
-            away = distance(model, optima[some])
+            away = distance(model, optima[some], settings.optima_scale)
         to_policy.step(loss + settings.return_weight * faded(update / settings.updates, settings.return_fade) * away)
         progress("encoder and policy", update + 1, settings.updates, float(loss.detach()))
 

@@ -71,7 +71,7 @@ def incoming(graph: Int[Tensor, "B E"], vehicle: int, vehicles: int) -> tuple[li
     return others, graph[:, places]
 
 
-def distance(model: RelationalModel, optima: Scenes, scale: float = 1.0) -> Float[Tensor, ""]:
+def distance(model: RelationalModel, optima: Scenes, scale: float) -> Float[Tensor, ""]:
     """How far the model's roll-outs are from the optima: s²·(√(1 + 2e/s²) − 1), mean over scenes.
 
     e is the mean squared error as in reconstruction; from s [m] on it counts linearly only, as graphs that ask for

@@ -75,7 +75,7 @@ def test_distances_count_squared_when_small_and_linearly_when_large(
         """Both vehicles' optimum `by` metres to the left of where the model drives them, but for the start."""
         state = driven.state.detach().clone()
         state[:, :2, 1:, 1] += by
-        return distance(model, Scenes(state, driven.action.detach(), graph))
+        return distance(model, Scenes(state, driven.action.detach(), graph), scale=1.0)
 
     assert moved(0.0) == 0
     torch.testing.assert_close(moved(0.01), torch.tensor(0.01**2 * 7 / 8), rtol=1e-2, atol=0)
