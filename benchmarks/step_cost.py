@@ -20,7 +20,7 @@ from cosim.closed_loop import Files, RunningRoad, Trunk, simulation
 from cosim.driving import drive
 from cosim.inputs import find_net
 from cosim.loading import load_scenario
-from cosim.policies import policy_of
+from cosim.policies import driver_of
 from cosim.traffic import route_file
 
 
@@ -39,7 +39,7 @@ def main() -> None:
     torch.set_num_threads(1)
     scenario = load_scenario("us101_car_following")
     scenario = msgspec.structs.replace(scenario, groups_at_once=options.groups, watch=0.0)
-    policy = policy_of(scenario)
+    driver = driver_of(scenario)
     with tempfile.TemporaryDirectory() as scratch:
         files = Files(find_net(scenario.net), Path(scratch, "r.rou.xml"), Path(scratch, "sumo.log"))
         files.routes.write_text(route_file(scenario.traffic, scenario.seed, 1200.0))
@@ -48,13 +48,13 @@ def main() -> None:
             trunk.warm_up(lambda *_: None)
             ratios = []
             for _ in range(options.rounds):
-                history = trunk.watch()
+                history = trunk.look()
                 task = trunk.find(history, limit=options.groups)
                 alone = fork(lambda: bare(road, task.driven)).result()  # noqa: B023
 
                 def driven() -> float:
                     began = time.process_time()
-                    drive(road.world, road.frame, history, task, policy, "gri")  # noqa: B023
+                    drive(road.world, road.frame, history, task, driver)  # noqa: B023
                     return (time.process_time() - began) / task.driven  # noqa: B023
 
                 together = fork(driven).result()

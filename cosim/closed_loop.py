@@ -4,6 +4,7 @@ Every round of groups is driven in a branch that shares its past with the trunk 
 same groups to SUMO. So each driven group has its own counterpart, and whoever drives gets the same groups.
 """
 
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
@@ -12,17 +13,18 @@ from multiprocessing import get_context
 from pathlib import Path
 
 from cosim.branch import CAN_FORK, fork
-from cosim.driving import Round, drive
+from cosim.driving import Driver, drive
 from cosim.episode import INTERRUPTED, Episode
 from cosim.frames import RoadFrame
-from cosim.groups import select
-from cosim.scenario import Scenario
+from cosim.groups import MergeLanes, select, target_lane
+from cosim.record import Round
+from cosim.scenario import Merge, Scenario
 from cosim.sumo import Snapshot, Sumo, sumo
 from cosim.traffic import arguments, route_file
 from gri.errors import InputError
-from gri.policy import Policy
 
 Tell = Callable[[str, int, int], None]  # (what, done, of)
+LOOK_EVERY = 1.0  # [s] between two attempts to find groups
 WARM_UP_CHUNKS = 50  # how often progress is told during the warm-up
 
 
@@ -48,24 +50,24 @@ class Outcome:
 
 @dataclass(frozen=True)
 class RunningRoad:
-    """A running simulation and its road."""
+    """A running simulation, its road, and where merges take place on it."""
 
     world: Sumo
     frame: RoadFrame
+    lanes: MergeLanes | None
 
 
 def run(
     scenario: Scenario,
     files: Files,
-    policy: Policy | None,
-    driver: str,
+    driver: Driver | None,
     tell: Tell,
     *,
     forking: bool = CAN_FORK,
 ) -> Outcome:
     """Run a scenario until its number of episodes is reached or its time limit is over.
 
-    Episodes that something else ended (INTERRUPTED) are kept but do not count. With `policy=None` nobody is driven:
+    Episodes that something else ended (INTERRUPTED) are kept but do not count. With `driver=None` nobody is driven:
     the null run. Without `forking` every branch replays the past from t = 0 in a process of its own; the results are
     the same.
     """
@@ -76,26 +78,26 @@ def run(
     with simulation(scenario, files) as road:
         trunk = Trunk(road, scenario)
         trunk.warm_up(tell)
-        while (count := _counted(driven if policy else left)) < scenario.episodes and trunk.time < end:
+        while (count := _counted(driven if driver else left)) < scenario.episodes and trunk.time < end:
             tell("episodes", count, scenario.episodes)
-            history = trunk.watch()
+            history = trunk.look()
             task = trunk.find(history, limit=scenario.episodes - count)
             if not task.groups:
                 continue
-            if policy is None:
+            if driver is None:
                 left += trunk.leave(history, task)
             elif forking:
-                branch = fork(lambda: drive(road.world, road.frame, history, task, policy, driver))  # noqa: B023
+                branch = fork(lambda: drive(road.world, road.frame, history, task, driver))  # noqa: B023
                 left += trunk.leave(history, task)
                 driven += branch.result()
             else:
                 with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-                    replay = pool.submit(_replay, scenario, files, trunk.steps, task, policy, driver)
+                    replay = pool.submit(_replay, scenario, files, trunk.steps, task, driver)
                     left += trunk.leave(history, task)
                     driven += replay.result()
         tell("episodes", min(count, scenario.episodes), scenario.episodes)
         return Outcome(
-            tuple(left if policy is None else driven),
+            tuple(left if driver is None else driven),
             tuple(left),
             trunk.time,
             trunk.teleports,
@@ -109,6 +111,7 @@ class Trunk:
     def __init__(self, road: RunningRoad, scenario: Scenario) -> None:
         self._road, self._scenario = road, scenario
         self._used: set[str] = set()
+        self._seen: deque[Snapshot] = deque(maxlen=scenario.steps(scenario.history))
         self.steps, self.time, self.teleports, self.collisions = 0, 0.0, 0, 0
 
     def _step(self) -> None:
@@ -126,15 +129,17 @@ class Trunk:
             self._step()
         tell("warm-up", total, total)
 
-    def watch(self) -> list[Snapshot]:
-        """Let the traffic rest from the last round, then watch it for the length of the history."""
-        for _ in range(self._scenario.steps(self._scenario.rest)):
+    def look(self) -> tuple[Snapshot, ...]:
+        """A whole history: after a rest at first and after each round, else `LOOK_EVERY` later than the last one."""
+        steps = self._scenario.steps
+        wanted = steps(self._scenario.history)
+        if not self._seen:
+            for _ in range(steps(self._scenario.rest)):
+                self._step()
+        for _ in range(max(wanted - len(self._seen), steps(LOOK_EVERY), 1)):
             self._step()
-        history = []
-        for _ in range(self._scenario.steps(self._scenario.history)):
-            self._step()
-            history.append(self._road.world.snapshot(self._road.frame))
-        return history
+            self._seen.append(self._road.world.snapshot(self._road.frame))
+        return tuple(self._seen)
 
     def find(self, history: Sequence[Snapshot], limit: int) -> Round:
         """The next round: groups with enough road ahead whose vehicles nobody took before."""
@@ -152,17 +157,19 @@ class Trunk:
         )
         self._used |= {vehicle for group in groups for vehicle in group.ids}
         steps = scenario.steps
-        return Round(tuple(groups), steps(scenario.horizon), steps(scenario.watch), scenario.step)
+        driven, watched = steps(scenario.horizon), steps(scenario.watch)
+        return Round(tuple(groups), scenario.group, scenario.driven, driven, watched, scenario.step, self._road.lanes)
 
     def leave(self, history: Sequence[Snapshot], task: Round) -> list[Episode]:
         """Leave a round to SUMO and record it."""
-        episodes = drive(self._road.world, self._road.frame, history, task, None, "sumo")
-        self.steps += task.driven + task.watched
+        episodes = drive(self._road.world, self._road.frame, history, task, None)
+        self.steps += len(episodes[0].time) - len(history)
+        self._seen.clear()  # what was seen before the round is no history any more
         self.time = float(episodes[0].time[-1])
         return episodes
 
 
-def _replay(scenario: Scenario, files: Files, steps: int, task: Round, policy: Policy, driver: str) -> list[Episode]:
+def _replay(scenario: Scenario, files: Files, steps: int, task: Round, driver: Driver) -> list[Episode]:
     """Drive a round that begins after so many steps, in a simulation of its own."""
     watched = scenario.steps(scenario.history)
     with simulation(scenario, files) as road:
@@ -172,7 +179,7 @@ def _replay(scenario: Scenario, files: Files, steps: int, task: Round, policy: P
         for _ in range(watched):
             road.world.step()
             history.append(road.world.snapshot(road.frame))
-        return drive(road.world, road.frame, history, task, policy, driver)
+        return drive(road.world, road.frame, history, task, driver)
 
 
 @contextmanager
@@ -188,7 +195,20 @@ def simulation(scenario: Scenario, files: Files) -> Iterator[RunningRoad]:
                 raise InputError(f"{what}: the net {files.net} has no edge {missing[0]!r}")
         for edge, limit in scenario.traffic.speed_limits.items():
             world.limit_speed(edge, limit)
-        yield RunningRoad(world, world.road(scenario.road.edges, scenario.road.origin))
+        frame = world.road(scenario.road.edges, scenario.road.origin)
+        yield RunningRoad(world, frame, _merge_lanes(world, frame, scenario))
+
+
+def _merge_lanes(world: Sumo, road: RoadFrame, scenario: Scenario) -> MergeLanes | None:
+    """Where a merge rule's lanes lie; None for other rules."""
+    rule = scenario.group
+    if not isinstance(rule, Merge):
+        return None
+    known = world.edges()
+    for lane in (rule.lane, target_lane(rule)):
+        if lane not in known:
+            raise InputError(f"group.lane: got {rule.lane!r}, but the net has no lane {lane!r}; name the ending lane")
+    return MergeLanes(world.strip(rule.lane, road), world.strip(target_lane(rule), road))
 
 
 def _counted(episodes: Sequence[Episode]) -> int:

@@ -18,13 +18,17 @@ class Ending(StrEnum):
     """Why a group was handed back."""
 
     HORIZON = "horizon"  # driven as long as the scenario says
+    MERGED = "merged"  # vehicle 0 is inside the target lane and stayed there as long as the rule says
+    LATE = "late"  # vehicle 0 did not merge within the horizon
+    LANE_END = "lane_end"  # vehicle 0 came to the end of its lane before it was inside the target lane
     CONTACT = "contact"  # the box of vehicle 0 or 1 touched another one
     CUT_IN = "cut_in"  # somebody else drove between two of the group
-    LANE_LEFT = "lane_left"  # a vehicle of the group changed its lane
+    LANE_LEFT = "lane_left"  # a vehicle of the group that had to keep its lane changed it
     LOST = "lost"  # a vehicle of the group left the simulation
 
 
 INTERRUPTED = frozenset({Ending.CUT_IN, Ending.LANE_LEFT, Ending.LOST})
+ARRIVED = frozenset({Ending.HORIZON, Ending.MERGED})
 
 
 class EventKind(StrEnum):
@@ -51,8 +55,9 @@ class Event:
 class Episode:
     """What one group did, from the beginning of its history to the end of the watch after the hand-back.
 
-    `state` has the features of COLUMNS for the roles 0, 1, 2; `driven` says at which instants vehicles 0 and 1 stood
-    where the policy put them. `graph` is what the policy believed (None where it has no notion of a graph).
+    `state` has the features of COLUMNS for the roles 0, 1, 2; `driven` says at which instants which of them stood
+    where the policy put them. `order` lists the roles from the rear to the front, as the group rule has them. `graph`
+    is what the policy went by, one row for each instant of `graph_time` (None where it has no notion of a graph).
     """
 
     driver: str
@@ -60,9 +65,12 @@ class Episode:
     time: Float[np.ndarray, " T"]
     state: Float[np.ndarray, "T 3 C"]
     valid: Bool[np.ndarray, "T 3"]
-    driven: Bool[np.ndarray, " T"]
+    driven: Bool[np.ndarray, "T 3"]
     length: Float[np.ndarray, " 3"]
+    width: Float[np.ndarray, " 3"]
+    order: tuple[int, int, int]
     graph: InteractionGraph | None
+    graph_time: Float[np.ndarray, " R"]
     ending: Ending
     end: float
     events: tuple[Event, ...]
@@ -76,16 +84,25 @@ class Episode:
         return (self.time >= self.group.time - 1e-6) & (self.time <= self.end + 1e-6)
 
     @property
+    def in_path(self) -> Bool[np.ndarray, "T 2"]:
+        """Whether each of the two rear vehicles of `order` would touch the next one if it went straight on."""
+        behind, ahead = list(self.order[:2]), list(self.order[1:])
+        d = self.feature("d")
+        return np.abs(d[:, behind] - d[:, ahead]) < 0.5 * (self.width[behind] + self.width[ahead])
+
+    @property
     def gap(self) -> Float[np.ndarray, "T 2"]:
-        """Net gaps [m] 0→1 and 1→2."""
+        """Net gaps [m] along the road from the two rear vehicles of `order` to the next one, whatever their lanes."""
         s = self.feature("s")
-        return net_gap(s[:, :2], s[:, 1:], self.length[1:])
+        behind, ahead = list(self.order[:2]), list(self.order[1:])
+        return net_gap(s[:, behind], s[:, ahead], self.length[ahead])
 
     @property
     def ttc(self) -> Float[np.ndarray, "T 2"]:
-        """Times to collision [s] 0→1 and 1→2."""
+        """Times to collision [s] over the same gaps; +inf where the vehicles are not in each other's path."""
         v = self.feature("v")
-        return time_to_collision(self.gap, v[:, :2], v[:, 1:])
+        time = time_to_collision(self.gap, v[:, list(self.order[:2])], v[:, list(self.order[1:])])
+        return np.where(self.in_path, time, np.inf)
 
     @property
     def jerk(self) -> Float[np.ndarray, "T 3"]:
@@ -95,7 +112,10 @@ class Episode:
 
     @property
     def success(self) -> bool:
-        """Driven to the horizon without contact, every vehicle still behind the next by the paper's δ_f."""
-        last = np.flatnonzero(self.under_way)[-1]
-        s = self.feature("s")[last]
-        return self.ending is Ending.HORIZON and bool((s[1:] - s[:2] >= SUCCESS_HEADWAY).all())
+        """Driven to the horizon, or merged, without contact, and at the end behind who was to be followed by δ_f.
+
+        In car following every vehicle must be behind the next one, in a merge vehicle 0 behind the leader.
+        """
+        s = self.feature("s")[np.flatnonzero(self.under_way)[-1]]
+        followed = ((0, 1), (1, 2)) if self.order == (0, 1, 2) else ((0, 2),)
+        return self.ending in ARRIVED and all(s[ahead] - s[behind] >= SUCCESS_HEADWAY for behind, ahead in followed)

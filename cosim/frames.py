@@ -13,7 +13,7 @@ from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 NOMINAL_LENGTH = 5.0  # [m], of a vehicle ahead in the model's frame
 
@@ -66,11 +66,20 @@ class RoadFrame:
     ) -> tuple[Float[np.ndarray, "V 2"], Float[np.ndarray, " V"]]:
         """World points at road coordinates, and the heading of the road there [rad]."""
         start, direction, arc = self._segments
-        segment = np.clip(np.searchsorted(arc, s + self.origin, side="right") - 1, 0, len(direction) - 1)
+        segment = self._segment_at(s)
         forward = direction[segment]
         left = np.stack([-forward[:, 1], forward[:, 0]], axis=1)
         along = (s + self.origin - arc[segment])[:, None]
-        return start[segment] + along * forward + d[:, None] * left, np.arctan2(forward[:, 1], forward[:, 0])
+        return start[segment] + along * forward + d[:, None] * left, self.heading_at(s)
+
+    def heading_at(self, s: Float[np.ndarray, " V"]) -> Float[np.ndarray, " V"]:
+        """Heading of the road [rad]."""
+        forward = self._segments[1][self._segment_at(s)]
+        return np.arctan2(forward[:, 1], forward[:, 0])
+
+    def _segment_at(self, s: Float[np.ndarray, " V"]) -> Int[np.ndarray, " V"]:
+        _, direction, arc = self._segments
+        return np.clip(np.searchsorted(arc, s + self.origin, side="right") - 1, 0, len(direction) - 1)
 
 
 def model_offsets(length: Float[np.ndarray, "G 3"], order: tuple[int, ...] = (0, 1, 2)) -> Float[np.ndarray, "G 3"]:

@@ -13,7 +13,7 @@ from jaxtyping import Int
 
 from cosim.safety import net_gap
 from cosim.scenario import CarFollowing, Merge
-from cosim.sumo import Snapshot
+from cosim.sumo import Snapshot, Strip
 from gri.graph import EdgeType
 
 SAME_LANE = 1.0  # [m] of lateral distance; lanes are wider than 3 m, vehicles keep to their centres
@@ -25,6 +25,30 @@ class Group:
 
     ids: tuple[str, str, str]
     time: float
+
+
+@dataclass(frozen=True)
+class MergeLanes:
+    """The lane that ends and the lane to its left that takes it up."""
+
+    source: Strip
+    target: Strip
+
+    @property
+    def boundary(self) -> float:
+        """Lateral position d [m] of the line between them."""
+        return self.target.centre - 0.5 * self.target.width
+
+
+def target_lane(rule: Merge) -> str:
+    """Id of the lane to the left of the one that ends."""
+    edge, _, index = rule.lane.rpartition("_")
+    return f"{edge}_{int(index) + 1}"
+
+
+def order_of(rule: CarFollowing | Merge) -> tuple[int, int, int]:
+    """The roles from the rear to the front."""
+    return (0, 1, 2) if isinstance(rule, CarFollowing) else (1, 0, 2)
 
 
 def next_ahead(snapshot: Snapshot, rows: Int[np.ndarray, " R"]) -> Int[np.ndarray, " R"]:
@@ -104,9 +128,7 @@ def _steady(history: Sequence[Snapshot], ids: Sequence[str], max_speed_differenc
 
 def _merges(history: Sequence[Snapshot], rule: Merge, inside: Set[str]) -> list[tuple[str, str, str]]:
     """Vehicles on the ending lane with a lag vehicle and a leader in the lane to their left."""
-    now, rows = history[-1], history[-1].rows(history[-1].ids)
-    edge, _, index = rule.lane.rpartition("_")
-    target = f"{edge}_{int(index) + 1}"
+    now, rows, target = history[-1], history[-1].rows(history[-1].ids), target_lane(rule)
     beside = sorted((now.s[rows[v]], v) for v in now.ids if now.lane[rows[v]] == target)
     found = []
     for merger in inside:
@@ -115,14 +137,31 @@ def _merges(history: Sequence[Snapshot], rule: Merge, inside: Set[str]) -> list[
         place = np.searchsorted([s for s, _ in beside], now.s[rows[merger]])
         if not 0 < place < len(beside):
             continue
-        lag, leader = beside[place - 1][1], beside[place][1]
-        fits = all(
-            rule.min_gap <= _gap(now, rows[b], rows[a]) <= rule.max_gap for b, a in ((lag, merger), (merger, leader))
-        )
-        seen = all(len(snapshot.rows((merger, lag, leader))) == 3 for snapshot in history)
-        if fits and seen and {lag, leader} <= inside:
-            found.append((merger, lag, leader))
+        ids = merger, beside[place - 1][1], beside[place][1]
+        if set(ids[1:]) <= inside and _acceptable(now, [rows[v] for v in ids], rule) and _kept(history, ids):
+            found.append(ids)
     return found
+
+
+def _acceptable(now: Snapshot, rows: list[int], rule: Merge) -> bool:
+    """Whether gaps and speeds between merger, lag vehicle and leader are as the rule wants them."""
+    merger, lag, leader = rows
+    gaps = _gap(now, lag, merger), _gap(now, merger, leader)
+    differences = np.abs(now.v[[lag, leader]] - now.v[merger])
+    return (
+        all(rule.min_gap <= gap <= rule.max_gap for gap in gaps)
+        and float(now.v[rows].min()) >= rule.min_speed
+        and float(differences.max()) <= rule.max_speed_difference
+    )
+
+
+def _kept(history: Sequence[Snapshot], ids: tuple[str, str, str]) -> bool:
+    """Whether all three were there all through the history, the last two in one lane."""
+    rows = [snapshot.rows(ids) for snapshot in history]
+    if any(len(found) < 3 for found in rows):
+        return False
+    d = np.array([[snapshot.d[row[v]] for v in ids[1:]] for snapshot, row in zip(history, rows, strict=True)])
+    return bool((np.abs(d - d[-1]) < SAME_LANE).all())
 
 
 def expected_graph(rule: CarFollowing | Merge) -> dict[tuple[int, int], EdgeType]:

@@ -12,7 +12,7 @@ from cosim import results
 from cosim.closed_loop import Files, run
 from cosim.groups import expected_graph
 from cosim.inputs import find_net, sha256
-from cosim.policies import checkpoint_path, policy_of
+from cosim.policies import checkpoint_path, driver_of
 from cosim.report import picture
 from cosim.scenario import Scenario, Trained, tag_of
 from cosim.sumo import SumoError
@@ -42,11 +42,11 @@ def run_job(
     Labels, which say what the run is among others, become the first columns of the groups table.
     """
     torch.set_num_threads(1)  # the models are tiny: more threads are slower
-    net, policy = find_net(scenario.net), policy_of(scenario)
+    net, driver = find_net(scenario.net), driver_of(scenario)
     with tempfile.TemporaryDirectory() as scratch:
         files = Files(net, Path(scratch, "routes.rou.xml"), folder / "sumo.log")
         try:
-            outcome = run(scenario, files, policy, tag_of(scenario.policy), tell)
+            outcome = run(scenario, files, driver, tell)
         except SumoError as error:
             raise InputError(f"SUMO refused the scenario: {error}") from error
         routes = sha256(files.routes)
@@ -54,12 +54,13 @@ def run_job(
         raise InputError(
             f"group: no group fits the rule within {scenario.time_limit:g} s; loosen its gaps or raise time_limit"
         )
-    episodes = [*outcome.episodes, *([] if policy is None else outcome.left_to_sumo)]
+    episodes = [*outcome.episodes, *([] if driver is None else outcome.left_to_sumo)]
     expected = expected_graph(scenario.group)
     tables = {
         "steps": results.steps_table(episodes),
         "groups": results.labelled(results.groups_table(episodes, expected), labels or {}),
         "events": results.events_table(episodes),
+        "graphs": results.graphs_table(episodes),
     }
     results.write_tables(folder, tables)
     inputs = {"net": net}

@@ -3,15 +3,25 @@
 from pathlib import Path
 
 from cosim import scenario as spec
+from cosim.driving import Driver
 from cosim.frames import NOMINAL_LENGTH
 from gri import checkpoint
-from gri.dynamics import DynamicsName
+from gri.dynamics import DUBINS, POINT_MASS_1D, DynamicsName
 from gri.errors import InputError
 from gri.graph import FOLLOWING, LANE_CHANGING, Vocabulary
+from gri.merging import MergingDriver
 from gri.model import RelationalModel
 from gri.policy import ConstantVelocity, IntelligentDriver, Policy
 from gri.resources import checkpoint as released
 from gri.resources import checkpoints
+
+
+def driver_of(scenario: spec.Scenario) -> Driver | None:
+    """The policy that a scenario's driver names, under the graph the scenario says; None where SUMO drives."""
+    policy = policy_of(scenario)
+    if policy is None:
+        return None
+    return Driver(spec.tag_of(scenario.policy), policy, scenario.graph, scenario.steps(scenario.reinfer_s))
 
 
 def policy_of(scenario: spec.Scenario) -> Policy | None:
@@ -19,13 +29,15 @@ def policy_of(scenario: spec.Scenario) -> Policy | None:
 
     Raises InputError where a checkpoint does not fit the group rule, the step or the history.
     """
+    in_lane = isinstance(scenario.group, spec.CarFollowing)
     match scenario.policy:
         case spec.LeftToSumo():
             return None
         case spec.Idm():
-            policy: Policy = IntelligentDriver(scenario.step, length=NOMINAL_LENGTH)
+            model = IntelligentDriver(scenario.step, length=NOMINAL_LENGTH)
+            policy: Policy = model if in_lane else MergingDriver(model)
         case spec.ConstantVelocity():
-            policy = ConstantVelocity(scenario.step)
+            policy = ConstantVelocity(scenario.step, POINT_MASS_1D if in_lane else DUBINS)
         case spec.Trained(checkpoint=name):
             path = checkpoint_path(name)
             model = checkpoint.load(path)
@@ -64,8 +76,6 @@ def _check_vocabulary(model: RelationalModel, rule: spec.GroupRule, path: Path) 
 
 def _check_fit(policy: Policy, scenario: spec.Scenario) -> None:
     layout = _wanted(scenario.group)[0]
-    if layout is not DynamicsName.POINT_MASS_1D:
-        raise InputError("group.rule: merging groups can be watched but not driven yet; set policy to {kind: sumo}")
     if policy.dynamics.name is not layout:
         raise InputError(
             f"policy: got a policy for {policy.dynamics.name} states {policy.dynamics.state}, the group rule"

@@ -21,7 +21,7 @@ from cosim.inputs import sha256
 from gri.errors import InputError
 from gri.graph import EdgeType, pairs
 
-TABLES = ("steps", "groups", "events")
+TABLES = ("steps", "groups", "events", "graphs")
 
 
 def steps_table(episodes: Sequence[Episode]) -> pd.DataFrame:
@@ -31,7 +31,9 @@ def steps_table(episodes: Sequence[Episode]) -> pd.DataFrame:
 
 def _steps(number: int, episode: Episode) -> pd.DataFrame:
     n = len(episode.time)
-    towards = {"gap": episode.gap, "ttc": episode.ttc}
+    towards = {name: np.full((n, 3), np.nan) for name in ("gap", "ttc")}
+    for name in towards:
+        towards[name][:, episode.order[:2]] = getattr(episode, name)
     return pd.DataFrame(
         {
             "episode": np.int32(number),
@@ -40,11 +42,11 @@ def _steps(number: int, episode: Episode) -> pd.DataFrame:
             "role": np.tile(np.arange(3, dtype=np.int8), n),
             "vehicle": list(episode.group.ids) * n,
             "present": episode.valid.ravel(),
-            "driven": (episode.driven[:, None] & np.array([True, True, False])).ravel(),
+            "driven": episode.driven.ravel(),
             "under_way": np.repeat(episode.under_way, 3),
             **{name: episode.state[..., k].ravel() for k, name in enumerate(COLUMNS)},
             "jerk": episode.jerk.ravel(),
-            **{k: np.hstack([v, np.full((n, 1), np.nan)]).ravel() for k, v in towards.items()},
+            **{name: values.ravel() for name, values in towards.items()},
         }
     )
 
@@ -68,7 +70,7 @@ def _group(number: int, episode: Episode, expected: Mapping[tuple[int, int], Edg
         "success": episode.success,
         "contact": episode.ending is Ending.CONTACT,
         **_belief(episode, expected),
-        "min_gap": float(episode.gap[way].min()),
+        "min_gap": float(np.where(episode.in_path, episode.gap, np.inf)[way].min()),
         "min_ttc": float(episode.ttc[way].min()),
         "mean_speed": float(episode.feature("v")[way][:, :2].mean()),
         "jerk_within_3": float((owned_jerk <= 3).mean()),
@@ -93,6 +95,20 @@ def _belief(episode: Episode, expected: Mapping[tuple[int, int], EdgeType]) -> d
         kind is expected.get(pair, EdgeType.NONE) for pair, kind in zip(pairs(3), types, strict=True)
     )
     return belief
+
+
+def graphs_table(episodes: Sequence[Episode]) -> pd.DataFrame:
+    """One row per episode, inference and pair: the type the policy went by, and its probability."""
+    rows = [
+        (np.int32(number), episode.driver, time, i, j, graph.vocabulary[k].value, p)
+        for number, episode in enumerate(episodes)
+        if (graph := episode.graph) is not None
+        for time, types, probabilities in zip(
+            episode.graph_time, graph.map.tolist(), graph.probs.max(-1).values.tolist(), strict=True
+        )
+        for (i, j), k, p in zip(pairs(3), types, probabilities, strict=True)
+    ]
+    return pd.DataFrame(rows, columns=["episode", "driver", "time", "sender", "receiver", "type", "probability"])
 
 
 def labelled(table: pd.DataFrame, labels: Mapping[str, Any]) -> pd.DataFrame:

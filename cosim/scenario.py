@@ -70,6 +70,27 @@ class Flow(Spec, frozen=True, kw_only=True):
     lanes: Annotated[tuple[Annotated[int, Meta(ge=0)], ...], Meta(min_length=1)]
 
 
+class Bottleneck(Spec, frozen=True, kw_only=True):
+    """The downstream cause of congestion: speed limits [m/s] of some lanes, one per demand interval; the last lasts."""
+
+    lanes: Annotated[tuple[str, ...], Meta(min_length=1)]
+    limits: Annotated[tuple[Positive, ...], Meta(min_length=1)]
+
+
+class Targets(Spec, frozen=True, kw_only=True):
+    """What was recorded in the study area, to compare simulated traffic with. Tolerances are relative.
+
+    `mean_speed` [m/s] is a mean over vehicles and time. `mainline` [veh/h] enter on the main road, one rate per demand
+    interval after the warm-up, the last one lasts; `ramp_share` is the share of all vehicles that enter elsewhere.
+    """
+
+    mean_speed: Positive
+    speed_tolerance: Share = 0.1
+    mainline: Annotated[tuple[Positive, ...], Meta(min_length=1)]
+    ramp_share: Share
+    flow_tolerance: Share = 0.05
+
+
 class Traffic(Spec, frozen=True, kw_only=True):
     """Demand, drivers, and the downstream cause of congestion."""
 
@@ -78,6 +99,8 @@ class Traffic(Spec, frozen=True, kw_only=True):
     vehicles: Annotated[tuple[VehicleClass, ...], Meta(min_length=1)]
     flows: Annotated[tuple[Flow, ...], Meta(min_length=1)]
     speed_limits: dict[str, Positive] = {}
+    bottleneck: Bottleneck | None = None
+    targets: Targets | None = None
 
     def __post_init__(self) -> None:
         known = {vehicle.name for vehicle in self.vehicles}
@@ -123,13 +146,24 @@ class CarFollowing(Spec, frozen=True, kw_only=True, tag_field="rule", tag="car_f
 class Merge(Spec, frozen=True, kw_only=True, tag_field="rule", tag="merge"):
     """Vehicle 0 on a lane that ends, between the lag vehicle 1 and the leader 2 in the lane to its left.
 
-    `lane` is the id of 0's lane, `zone` the range of s [m] in which the group is taken, gaps are net gaps to 0.
+    `lane` is the id of 0's lane, `zone` the range of s [m] in which the group is taken, gaps are net gaps to 0 and
+    speed differences [m/s] are from 0 to the others, both at the end of the history, through which 1 and 2 kept their
+    lane. The merge is done when 0 was inside the target lane for `settle` [s].
     """
 
     lane: str
     zone: tuple[float, float]
     min_gap: NonNegative = 1.0
     max_gap: Positive = 45.0
+    min_speed: NonNegative = 2.0
+    max_speed_difference: Positive = 6.0
+    settle: NonNegative = 2.0
+
+    def __post_init__(self) -> None:
+        if self.zone[0] >= self.zone[1]:
+            raise ValueError(f"zone is {list(self.zone)}, expected a range [from, to] of s with from < to")
+        if not self.lane.rpartition("_")[2].isdigit():
+            raise ValueError(f"lane is {self.lane!r}, expected a lane id such as 'weave_0'")
 
 
 GroupRule = CarFollowing | Merge
@@ -153,6 +187,29 @@ class LeftToSumo(Spec, frozen=True, kw_only=True, tag_field="kind", tag="sumo"):
     """Nobody takes the group over: the null run."""
 
 
+class Inferred(Spec, frozen=True, kw_only=True, tag_field="source", tag="inferred"):
+    """The graph the policy infers from what it saw."""
+
+
+class GroundTruth(Spec, frozen=True, kw_only=True, tag_field="source", tag="ground_truth"):
+    """The relations that the group rule's own definition implies, and none between all other pairs."""
+
+
+class Enforced(Spec, frozen=True, kw_only=True, tag_field="source", tag="enforced"):
+    """What a person says: `edges` maps "1->0" (the effect of 1 on 0) to none, follow, yield or cut_in.
+
+    All other pairs are as the policy infers them, or none.
+    """
+
+    edges: dict[Annotated[str, Meta(pattern=r"^[012]->[012]$")], Literal["none", "follow", "yield", "cut_in"]]
+    others: Literal["inferred", "none"] = "inferred"
+
+    def __post_init__(self) -> None:
+        if selfish := [pair for pair in self.edges if pair[0] == pair[-1]]:
+            raise ValueError(f"edges has {selfish[0]!r}, expected two different vehicles, such as '1->0'")
+
+
+GraphSource = Inferred | GroundTruth | Enforced
 Driver = Trained | Idm | ConstantVelocity | LeftToSumo
 
 
@@ -162,7 +219,11 @@ def tag_of(choice: GroupRule | Driver) -> str:
 
 
 class Scenario(Spec, frozen=True, kw_only=True):
-    """One closed-loop experiment. Durations in s; `traffic` may be the name or path of a traffic file."""
+    """One closed-loop experiment. Durations in s; `traffic` may be the name or path of a traffic file.
+
+    `driven` are the roles that the policy drives, the others stay SUMO's; `graph` says under which graph, inferred
+    once at the take-over, and again every `reinfer_s` from the latest states where that is not 0.
+    """
 
     description: str = ""
     net: str
@@ -170,6 +231,9 @@ class Scenario(Spec, frozen=True, kw_only=True):
     traffic: Traffic
     group: GroupRule
     policy: Driver
+    graph: GraphSource = field(default_factory=Inferred)
+    reinfer_s: NonNegative = 0.0
+    driven: Annotated[tuple[Literal[0, 1], ...], Meta(min_length=1, max_length=2)] = (0, 1)
     perturbations: tuple[Perturbation, ...] = ()
     seed: Seed = 1
     step: Positive = 0.2
@@ -182,7 +246,9 @@ class Scenario(Spec, frozen=True, kw_only=True):
     time_limit: Positive = 3600.0
 
     def __post_init__(self) -> None:
-        for name in ("history", "horizon", "watch", "rest"):
+        if len(set(self.driven)) < len(self.driven):
+            raise ValueError(f"driven is {list(self.driven)}, expected each role once")
+        for name in ("history", "horizon", "watch", "rest", "reinfer_s"):
             steps = getattr(self, name) / self.step
             if abs(steps - round(steps)) > 1e-6:
                 raise ValueError(f"{name} is {getattr(self, name):g} s, expected a multiple of step = {self.step:g} s")

@@ -7,7 +7,7 @@ commanded one only if `setSpeed` goes with it and the safety checks are off.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +21,8 @@ from cosim.frames import RoadFrame, heading_of, sumo_angle_of
 _NO_CHECKS = 0  # speed mode: SUMO neither bounds nor corrects the commanded speed
 _NO_CHANGES = 0  # lane-change mode: SUMO never changes the vehicle's lane
 _KEEP_ROUTE_EXACT_POSITION = 3  # moveToXY: keep the route (1) and do not snap to the lane (2)
+_GIVEN_LANE_EXACT_POSITION = 2  # moveToXY: on the edge and lane that the call names, and do not snap to it
+_TWIN = "twin:"  # prefix of the ids of twins
 
 _NATIVE_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
 
@@ -61,29 +63,44 @@ class StepReport:
     collisions: tuple[tuple[str, str], ...]
 
 
+@dataclass(frozen=True)
+class Strip:
+    """A lane in the road frame: from `begin` to `end` [m], its centre at `centre` [m] to the left, its width [m]."""
+
+    lane: str
+    begin: float
+    end: float
+    centre: float
+    width: float
+
+
 class Sumo:
     """The running simulation. Obtained from `sumo(...)` only."""
 
     def __init__(self) -> None:
         self._sizes: dict[str, tuple[float, float]] = {}
         self._modes: dict[str, tuple[int, int]] = {}  # (speed mode, lane-change mode) before take-over
+        self._twins: set[str] = set()  # vehicles that have one
         self._pending = False  # moveToXY issued since the last step
 
     def step(self) -> StepReport:
         """Advance by one step length."""
         libsumo.simulationStep()
         self._pending = False
+        pairs = [(hit.collider, hit.victim) for hit in libsumo.simulation.getCollisions()]
         return StepReport(
             time=libsumo.simulation.getTime(),
-            arrived=tuple(libsumo.simulation.getArrivedIDList()),
-            teleported=tuple(libsumo.simulation.getStartingTeleportIDList()),
-            collisions=tuple((hit.collider, hit.victim) for hit in libsumo.simulation.getCollisions()),
+            arrived=_real(libsumo.simulation.getArrivedIDList()),
+            teleported=_real(libsumo.simulation.getStartingTeleportIDList()),
+            collisions=tuple(pair for pair in pairs if len(_real(pair)) == 2),
         )
 
     def snapshot(self, road: RoadFrame, around: Sequence[str] | None = None) -> Snapshot:
         """Read every vehicle on the road network, or only those near the vehicles `around` (see `_near`)."""
         vehicle = libsumo.vehicle
-        ids: tuple[str, ...] = tuple(vehicle.getIDList())
+        ids = tuple(vehicle.getIDList())
+        if self._twins:
+            ids = _real(ids)
         xy = np.array([vehicle.getPosition(v) for v in ids], dtype=float).reshape(-1, 2)
         s, d = road.to_road(xy)
         if around is not None:
@@ -121,15 +138,36 @@ class Sumo:
         api.setSpeedMode(vehicle, _NO_CHECKS)
         api.setLaneChangeMode(vehicle, _NO_CHANGES)
 
-    def command(self, vehicle: str, x: float, y: float, heading: float, speed: float) -> None:
-        """Where the vehicle's front bumper shall stand after the next step, its heading [rad] and speed [m/s]."""
+    def command(self, vehicle: str, x: float, y: float, heading: float, speed: float, lane: str = "") -> None:
+        """Where the vehicle's front bumper shall stand after the next step, its heading [rad] and speed [m/s].
+
+        SUMO books the vehicle on the nearest lane, or on `lane`, which must be one that passes there.
+        """
         if not all(math.isfinite(value) for value in (x, y, heading, speed)):
             raise SumoError(
                 f"refused a non-finite command for {vehicle}: x={x}, y={y}, heading={heading}, speed={speed}"
             )
+        edge, _, index = lane.rpartition("_")
         libsumo.vehicle.setSpeed(vehicle, speed)
-        libsumo.vehicle.moveToXY(vehicle, "", -1, x, y, sumo_angle_of(heading), _KEEP_ROUTE_EXACT_POSITION)
+        mode = _GIVEN_LANE_EXACT_POSITION if lane else _KEEP_ROUTE_EXACT_POSITION
+        libsumo.vehicle.moveToXY(vehicle, edge, int(index or -1), x, y, sumo_angle_of(heading), mode)
         self._pending = True
+
+    def place_twin(self, vehicle: str, x: float, y: float, heading: float, speed: float, lane: str) -> None:
+        """Put a copy of the vehicle on a lane, for others to see; no snapshot, report or count shows it."""
+        twin, api = _TWIN + vehicle, libsumo.vehicle
+        if vehicle not in self._twins:
+            api.add(twin, api.getRouteID(vehicle), api.getTypeID(vehicle))
+            api.setSpeedMode(twin, _NO_CHECKS)
+            api.setLaneChangeMode(twin, _NO_CHANGES)
+            self._twins.add(vehicle)
+        self.command(twin, x, y, heading, speed, lane)
+
+    def remove_twin(self, vehicle: str) -> None:
+        """Take the vehicle's twin away, if there is one."""
+        if vehicle in self._twins:
+            self._twins.discard(vehicle)
+            libsumo.vehicle.remove(_TWIN + vehicle)
 
     def release(self, vehicle: str) -> None:
         """Hand a vehicle back: SUMO's own speed control and the modes it had before."""
@@ -140,7 +178,7 @@ class Sumo:
 
     def waiting(self) -> int:
         """How many vehicles should have entered the net and could not yet."""
-        return len(libsumo.simulation.getPendingVehicles())
+        return len(_real(libsumo.simulation.getPendingVehicles()))
 
     def lane_count(self, edge: str) -> int:
         """Number of lanes of an edge."""
@@ -170,6 +208,11 @@ class Sumo:
         before = np.diff(line[: start + 1], axis=0)
         return RoadFrame(line, float(np.hypot(before[:, 0], before[:, 1]).sum()))
 
+    def strip(self, lane: str, road: RoadFrame) -> Strip:
+        """Where a lane lies in the road frame; it must run along the road."""
+        s, d = road.to_road(np.array(libsumo.lane.getShape(lane), dtype=float))
+        return Strip(lane, float(s[0]), float(s[-1]), float(d[-1]), libsumo.lane.getWidth(lane))
+
     def _close(self) -> None:
         if self._pending:  # closing and restarting with a pending moveToXY crashes SUMO
             libsumo.simulationStep()
@@ -183,6 +226,11 @@ def _near(
     along, across = np.abs(s[None] - s[rows][:, None]), np.abs(d[None] - d[rows][:, None])
     near = ((along < 80) & (across < 2)) | ((along < 25) & (across < 6))
     return np.any(near, axis=0, keepdims=True)[0]
+
+
+def _real(ids: Iterable[str]) -> tuple[str, ...]:
+    """Without twins."""
+    return tuple(vehicle for vehicle in ids if not vehicle.startswith(_TWIN))
 
 
 _running = False

@@ -76,7 +76,10 @@ def _no_memory(history: Trajectory) -> PolicyState:
 
 @dataclass(frozen=True)
 class ConstantVelocity:
-    """Ends all acceleration at once and keeps the speed (1-D point mass)."""
+    """Ends all acceleration (and turning) at once and keeps speed and heading.
+
+    For dynamics whose actions are the rates of their last state features: the 1-D point mass and Dubins' car.
+    """
 
     dt: float
     dynamics: Dynamics = POINT_MASS_1D
@@ -85,8 +88,8 @@ class ConstantVelocity:
     def begin(self, history: Trajectory) -> PolicyState:
         return _no_memory(history)
 
-    def act(self, memory: PolicyState, state: Float[Tensor, "B N 3"]) -> tuple[Float[Tensor, "B N 1"], PolicyState]:
-        return -state[..., 2:3] / self.dt, memory
+    def act(self, memory: PolicyState, state: Float[Tensor, "B N D"]) -> tuple[Float[Tensor, "B N A"], PolicyState]:
+        return -state[..., -len(self.dynamics.action) :] / self.dt, memory
 
 
 @dataclass(frozen=True)
@@ -117,11 +120,16 @@ class IntelligentDriver:
         ahead = x[:, None, :] - x[:, :, None]  # Shape: (B, follower, leader)
         ahead = torch.where(ahead > 0, ahead, torch.inf)
         headway, leader = ahead.min(-1)
-        closing = v - v.gather(1, leader)
+        target = self.target_acceleration(v, v.gather(1, leader), headway)
+        return ((target - a) / self.dt)[..., None], memory
+
+    def target_acceleration(
+        self, v: Float[Tensor, "*batch"], v_ahead: Float[Tensor, "*batch"], headway: Float[Tensor, "*batch"]
+    ) -> Float[Tensor, "*batch"]:
+        """a [m/s²] at a headway [m], position to position, behind a vehicle; infinite: on an empty road."""
         gap = (headway - self.length).clamp(min=0.1)
-        dynamic_gap = v * self.time_headway + v * closing / (2 * (self.acceleration * self.deceleration) ** 0.5)
+        dynamic_gap = v * self.time_headway + v * (v - v_ahead) / (2 * (self.acceleration * self.deceleration) ** 0.5)
         wanted_gap = self.minimum_gap + dynamic_gap.clamp(min=0)
         interaction = torch.where(torch.isinf(headway), torch.zeros_like(gap), (wanted_gap / gap) ** 2)
         target = self.acceleration * (1 - (v / self.desired_speed) ** 4 - interaction)
-        target = target.clamp(min=-9.0)  # the road gives no more
-        return ((target - a) / self.dt)[..., None], memory
+        return target.clamp(min=-9.0)  # the road gives no more

@@ -6,6 +6,7 @@ import msgspec
 import pytest
 
 from cosim.closed_loop import Files, Outcome, run
+from cosim.driving import Driver
 from cosim.loading import load_scenario
 from cosim.scenario import Scenario
 from gri.policy import Policy
@@ -30,9 +31,9 @@ def short_scenario() -> Scenario:
 def simulate(tmp_path: Path):
     """Run a scenario in this process and return its outcome."""
 
-    def simulate(scenario: Scenario, policy: Policy | None, driver: str = "test", **options: bool) -> Outcome:
+    def simulate(scenario: Scenario, policy: Policy | None, name: str = "test", **options: bool) -> Outcome:
         net = shipped("sumo_nets", scenario.net, f"{scenario.net}.net.xml")
         files = Files(net, tmp_path / "routes.rou.xml", tmp_path / "sumo.log")
-        return run(scenario, files, policy, driver, quiet, **options)
+        return run(scenario, files, policy and Driver(name, policy), quiet, **options)
 
     return simulate

@@ -8,9 +8,10 @@ import pandas as pd
 import pytest
 
 from cosim.branch import CAN_FORK, BranchError, fork
-from cosim.driving import PLACEMENT_TOLERANCE
+from cosim.driving import Driver
 from cosim.episode import COLUMNS, Ending, EventKind
 from cosim.groups import expected_graph
+from cosim.record import PLACEMENT_TOLERANCE
 from cosim.results import events_table, groups_table, steps_table
 from gri.policy import ConstantVelocity, IntelligentDriver
 
@@ -32,7 +33,7 @@ def outcome(short_scenario, tmp_path_factory):
 
     scratch: Path = tmp_path_factory.mktemp("run")
     files = Files(shipped("sumo_nets/us101/us101.net.xml"), scratch / "r.rou.xml", scratch / "sumo.log")
-    return run(short_scenario, files, IDM, "idm", lambda *_: None)
+    return run(short_scenario, files, Driver("idm", IDM), lambda *_: None)
 
 
 def test_the_wanted_number_of_groups_is_driven(outcome, short_scenario):
@@ -53,7 +54,7 @@ def test_owned_vehicles_stand_where_the_dynamics_put_them(outcome):
     for episode in outcome.episodes:
         assert not [event for event in episode.events if event.kind in (EventKind.MISPLACED, EventKind.VANISHED)]
         s, v, a = (episode.feature(name)[:, :2] for name in ("s", "v", "a"))
-        k = np.flatnonzero(episode.driven)[1:]
+        k = np.flatnonzero(episode.driven[:, 0])[1:]
         before, dt = k - 1, 0.2
         moved = v[before] * dt + 0.5 * a[before] * dt**2
         np.testing.assert_allclose(s[k] - s[before], moved, atol=PLACEMENT_TOLERANCE)
@@ -132,7 +133,7 @@ def test_a_contact_ends_the_group_and_both_tests_see_it(short_scenario, simulate
 def test_vehicles_stay_in_their_lane_while_driven(outcome):
     d = COLUMNS.index("d")
     for episode in outcome.episodes:
-        lateral = episode.state[episode.driven][:, :2, d]
+        lateral = episode.state[episode.driven[:, 0]][:, :2, d]
         np.testing.assert_allclose(lateral, np.broadcast_to(lateral[:1], lateral.shape), atol=1e-6)
 
 

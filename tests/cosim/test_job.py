@@ -67,7 +67,6 @@ MERGE = {"rule": "merge", "lane": "weave_0", "zone": [187.0, 350.0]}
         ({"step": 0.1}, r"step: got 0.1 s, the policy acts every 0.2 s"),
         ({"history": 1.0}, r"history: got 1 s, the policy wants \d+ states; set history to at least"),
         ({"group": MERGE}, r"got the edge vocabulary \(none, follow\), the group rule 'merge' wants \(none, follow, y"),
-        ({"group": MERGE, "policy": {"kind": "idm"}}, r"can be watched but not driven yet"),
     ],
 )
 def test_a_policy_that_does_not_fit_is_refused(scenario, changes, message):

@@ -12,6 +12,7 @@ from cosim.groups import Group
 from cosim.report import most_eventful, picture, summary
 from cosim.results import (
     events_table,
+    graphs_table,
     groups_table,
     labelled,
     manifest,
@@ -40,9 +41,12 @@ def episode(driver="gri", edges=CHAIN, ending=Ending.HORIZON, gap=15.0) -> Episo
         time=time,
         state=state,
         valid=np.ones((len(time), 3), dtype=bool),
-        driven=(time > 101.0 + 1e-6) & (time <= 103.0 + 1e-6),
+        driven=((time > 101.0 + 1e-6) & (time <= 103.0 + 1e-6))[:, None] & np.array([True, True, False]),
         length=np.full(3, 5.0),
+        width=np.full(3, 1.8),
+        order=(0, 1, 2),
         graph=None if edges is None else InteractionGraph.of_edges(edges, FOLLOWING),
+        graph_time=np.array([] if edges is None else [101.0]),
         ending=ending,
         end=103.0,
         events=(Event(101.0, EventKind.TAKEN, ("a", "b")),),
@@ -56,6 +60,7 @@ def tables():
         "steps": steps_table(episodes),
         "groups": groups_table(episodes, CHAIN),
         "events": events_table(episodes),
+        "graphs": graphs_table(episodes),
     }
 
 
@@ -119,7 +124,7 @@ def test_manifest_names_versions_and_hashes(tables, tmp_path):
     assert content["versions"]["torch"] == torch.__version__
     # sha256 of the text <net/>, by `printf '<net/>' | sha256sum`
     assert content["inputs"]["net"]["sha256"].startswith("f5f6d4e9") or len(content["inputs"]["net"]["sha256"]) == 64
-    assert set(content["results"]) == {"steps.parquet", "groups.parquet", "events.parquet"}
+    assert set(content["results"]) == {"steps.parquet", "groups.parquet", "events.parquet", "graphs.parquet"}
 
 
 def test_reading_something_else_is_an_input_error(tmp_path):

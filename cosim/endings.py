@@ -1,0 +1,46 @@
+"""When a group cannot, or need not, be driven any further; pure functions of what was seen."""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from cosim.episode import COLUMNS, Ending
+from cosim.groups import SAME_LANE, MergeLanes, next_ahead
+from cosim.sumo import Snapshot
+
+_S, _D = COLUMNS.index("s"), COLUMNS.index("d")
+
+State = Float[np.ndarray, "3 C"]
+Rows = Int[np.ndarray, " 3"]
+
+
+def car_following(before: State, now: State, snapshot: Snapshot, rows: Rows) -> Ending | None:
+    """All three keep their lane and nobody comes between them, or else the group is broken up."""
+    if (np.abs(now[:, _D] - before[:, _D]) > SAME_LANE).any():
+        return Ending.LANE_LEFT
+    return None if (next_ahead(snapshot, rows[:2]) == rows[1:]).all() else Ending.CUT_IN
+
+
+def merging(
+    before: State, now: State, snapshot: Snapshot, rows: Rows, lanes: MergeLanes, width: float
+) -> Ending | None:
+    """Vehicle 0 is on its way to the target lane, 1 and 2 keep theirs; `width` [m] is that of vehicle 0.
+
+    LANE_END: its front passes the end of its lane while its centre is still on it. MERGED only says that vehicle 0 is
+    inside the target lane now; how long it must stay there is not decided here.
+    """
+    if (np.abs(now[1:, _D] - before[1:, _D]) > SAME_LANE).any():
+        return Ending.LANE_LEFT
+    if _between(snapshot, rows, lanes).any():
+        return Ending.CUT_IN
+    if now[0, _S] >= lanes.source.end and now[0, _D] < lanes.boundary:
+        return Ending.LANE_END
+    inside = abs(now[0, _D] - lanes.target.centre) + 0.5 * width <= 0.5 * lanes.target.width
+    return Ending.MERGED if inside else None
+
+
+def _between(snapshot: Snapshot, rows: Rows, lanes: MergeLanes) -> Bool[np.ndarray, " V"]:
+    """Who else is in the target lane between the lag vehicle and the leader."""
+    there = np.abs(snapshot.d - lanes.target.centre) < SAME_LANE
+    there &= (snapshot.s > snapshot.s[rows[1]]) & (snapshot.s < snapshot.s[rows[2]])
+    there[rows] = False
+    return there

@@ -1,0 +1,157 @@
+"""What happens to the groups of a round while they are driven: how each ends, when, and all events."""
+
+from collections.abc import Sequence, Set
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from cosim import endings
+from cosim.episode import COLUMNS, Ending, Event, EventKind
+from cosim.groups import Group, MergeLanes
+from cosim.layouts import Pose
+from cosim.safety import overlaps
+from cosim.scenario import GroupRule, Merge
+from cosim.seen import Frame
+from cosim.sumo import Snapshot, StepReport, Sumo
+
+PLACEMENT_TOLERANCE = 1e-6  # [m], [m/s]
+HARD_BRAKING = 4.5  # [m/s^2]
+
+
+@dataclass(frozen=True)
+class Round:
+    """Several groups that are taken at the same instant, and how long they are driven and watched (in steps).
+
+    `owned` are the roles that are driven, `lanes` where a merge takes place.
+    """
+
+    groups: tuple[Group, ...]
+    rule: GroupRule
+    owned: tuple[int, ...]
+    driven: int
+    watched: int
+    dt: float
+    lanes: MergeLanes | None = None
+
+    @property
+    def vehicles(self) -> list[str]:
+        return [vehicle for group in self.groups for vehicle in group.ids]
+
+
+class Record:
+    """The endings and events so far."""
+
+    def __init__(self, task: Round, width: Float[np.ndarray, "G 3"]) -> None:
+        self._task, self._width = task, width
+        self._inside = np.zeros(len(task.groups), dtype=int)  # steps since vehicle 0 is inside the target lane
+        self.endings: dict[int, Ending] = {}
+        self.ends: dict[int, float] = {}
+        self.events: list[list[Event]] = [[] for _ in task.groups]
+
+    @property
+    def active(self) -> list[int]:
+        """The groups that did not end yet."""
+        return [g for g in range(len(self._task.groups)) if g not in self.endings]
+
+    def driven(self, time: Float[np.ndarray, " T"], g: int) -> Bool[np.ndarray, "T 3"]:
+        """At which instants, from the first command to the end, which roles stood where they were commanded to."""
+        when = (time > self._task.groups[g].time + 1e-6) & (time <= self.ends[g] + 1e-6)
+        return when[:, None] & np.isin(np.arange(3), self._task.owned)
+
+    def _owned_ids(self, g: int) -> tuple[str, ...]:
+        return tuple(self._task.groups[g].ids[role] for role in self._task.owned)
+
+    def take_over(self, world: Sumo, time: float) -> None:
+        for g in self.active:
+            for vehicle in self._owned_ids(g):
+                world.take(vehicle)
+            self.events[g].append(Event(time, EventKind.TAKEN, self._owned_ids(g)))
+
+    def hand_back(self, world: Sumo, frame: Frame, ended: Set[int]) -> None:
+        for g in sorted(ended):
+            ids = self._task.groups[g].ids
+            for role in self._task.owned:
+                world.remove_twin(ids[role])
+                if frame.valid[g, role]:
+                    world.release(ids[role])
+            self.events[g].append(Event(frame.time, EventKind.HANDED_BACK, self._owned_ids(g), self.endings[g].value))
+
+    def verify(self, frame: Frame, commanded: Pose) -> None:
+        """Note every owned vehicle that is gone, or that is not where and as fast as the dynamics say."""
+        wanted = np.stack([commanded.s, commanded.d, commanded.v], -1)
+        seen = frame.state[..., [COLUMNS.index(name) for name in ("s", "d", "v")]]
+        error = np.abs(seen - wanted).max(axis=-1)
+        for g in self.active:
+            for role in self._task.owned:
+                vehicle = (self._task.groups[g].ids[role],)
+                if not frame.valid[g, role]:
+                    self.events[g].append(Event(frame.time, EventKind.VANISHED, vehicle))
+                elif error[g, role] > PLACEMENT_TOLERANCE:
+                    self.events[g].append(Event(frame.time, EventKind.MISPLACED, vehicle, f"by {error[g, role]:.3g}"))
+
+    def judge(self, frame: Frame, before: Frame, snapshot: Snapshot, report: StepReport, last: bool) -> None:
+        """End the groups that cannot or need not be driven any further, and all after the `last` driven step."""
+        active = self.active
+        if not active:
+            return
+        touching = self._contacts(snapshot, frame, report)
+        for g in active:
+            ending = self._ending(frame, before, snapshot, g, g in touching)
+            if ending is None and last:
+                ending = Ending.LATE if isinstance(self._task.rule, Merge) else Ending.HORIZON
+            if ending is not None:
+                self.endings[g], self.ends[g] = ending, frame.time
+
+    def _ending(self, frame: Frame, before: Frame, snapshot: Snapshot, g: int, touching: bool) -> Ending | None:
+        if touching:
+            return Ending.CONTACT
+        if not frame.valid[g].all():
+            return Ending.LOST
+        seen = before.state[g], frame.state[g], snapshot, frame.rows[g]
+        if not isinstance(self._task.rule, Merge):
+            return endings.car_following(*seen)
+        assert self._task.lanes is not None, "a merge takes place between two lanes"
+        ending = endings.merging(*seen, self._task.lanes, float(self._width[g, 0]))
+        if ending is not Ending.MERGED:
+            self._inside[g] = 0
+            return ending
+        self._inside[g] += 1
+        return ending if self._inside[g] * self._task.dt >= self._task.rule.settle - 1e-6 else None
+
+    def _contacts(self, snapshot: Snapshot, frame: Frame, report: StepReport) -> set[int]:
+        """Which groups touch something, by our own test; SUMO's opinion and every disagreement become events."""
+        roles = [0, 1]  # whoever drives them
+        rows = frame.rows[self.active][:, roles][frame.valid[self.active][:, roles]]
+        hits = overlaps(snapshot.xy, snapshot.heading, snapshot.length, snapshot.width, rows)
+        ours = {frozenset((snapshot.ids[i], snapshot.ids[j])) for i, j in hits}
+        theirs = {frozenset(pair) for pair in report.collisions}
+        if not ours and not theirs and not report.teleported:
+            return set()
+        touching = set()
+        for g in self.active:
+            members = set(self._task.groups[g].ids[: len(roles)])
+            for kind, pairs in (
+                (EventKind.CONTACT, ours),
+                (EventKind.SUMO_COLLISION, theirs),
+                (EventKind.DISAGREEMENT, ours ^ theirs),
+            ):
+                mine = sorted(tuple(sorted(pair)) for pair in pairs if pair & members)
+                self.events[g] += [Event(frame.time, kind, pair) for pair in mine]
+            self.events[g] += [Event(frame.time, EventKind.TELEPORT, (v,)) for v in report.teleported if v in members]
+            if any(pair & members for pair in ours):
+                touching.add(g)
+        return touching
+
+
+def hard_braking(frames: Sequence[Frame], g: int, group: Group, owned: Sequence[int], end: float) -> tuple[Event, ...]:
+    """The first hard braking of each handed-back vehicle after the end of the drive."""
+    a = COLUMNS.index("a")
+    found = []
+    for role in owned:
+        for frame in frames:
+            if frame.time > end and frame.valid[g, role] and frame.state[g, role, a] < -HARD_BRAKING:
+                detail = f"{frame.state[g, role, a]:.2f} m/s^2"
+                found.append(Event(frame.time, EventKind.HARD_BRAKING, (group.ids[role],), detail))
+                break
+    return tuple(found)
