@@ -1,7 +1,10 @@
 """How commands speak: results to standard output, progress and errors to standard error."""
 
+import time
+from dataclasses import dataclass
+
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
 console = Console(highlight=False)
 errors = Console(stderr=True, highlight=False)
@@ -48,3 +51,69 @@ class Stages:
         if stage not in self._stages:
             self._stages[stage] = self._bars.add_task(stage, total=of)
         self._bars.update(self._stages[stage], completed=done, total=of)  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class Tally:
+    """Where a batch stands: runs in all, finished, failed for good, and ended before this command began."""
+
+    total: int
+    done: int
+    failed: int
+    before: int
+
+    @property
+    def left(self) -> int:
+        return self.total - self.done - self.failed
+
+
+class Runs:
+    """Progress of a batch: a bar in a terminal; elsewhere a plain line per 5 % and at least every half minute."""
+
+    def __init__(self) -> None:
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[note]}"),
+        )
+        self._bars = Progress(*columns, console=errors)
+        self._began = self._told = time.monotonic()
+        self._bar: TaskID | None = None
+        self._share = -1
+
+    def __enter__(self) -> "Runs":
+        if errors.is_terminal:
+            self._bars.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if errors.is_terminal:
+            self._bars.stop()
+
+    def tell(self, tally: Tally) -> None:
+        ended, now = tally.done + tally.failed, time.monotonic()
+        note = self._note(tally, now - self._began)
+        if errors.is_terminal:
+            if self._bar is None:
+                self._bar = self._bars.add_task("runs", total=tally.total, note="")
+            self._bars.update(self._bar, completed=ended, note=note)
+        elif 20 * ended // tally.total > self._share or now - self._told > 30:
+            self._share, self._told = 20 * ended // tally.total, now
+            errors.print(f"runs: {ended}/{tally.total}{note and ', '}{note}", highlight=False)
+
+    def _note(self, tally: Tally, seconds: float) -> str:
+        """Failures, rate and remaining time, as far as they are known."""
+        ended = tally.done + tally.failed - tally.before
+        notes = [f"{tally.failed} failed"] if tally.failed else []
+        if ended > 0 and seconds > 0:
+            rate = ended / seconds
+            notes += [f"{rate:.2f} runs/s" if rate >= 1 else f"{60 * rate:.1f} runs/min"]
+            notes += [f"{_clock(tally.left / rate)} left"] if tally.left else []
+        return ", ".join(notes)
+
+
+def _clock(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours} h {minutes:02} min" if hours else f"{minutes} min {rest:02} s"

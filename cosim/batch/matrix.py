@@ -51,8 +51,8 @@ class Run:
 
     @property
     def id(self) -> str:
-        """The key's first twelve digits: the run's folder and its partition in the tables."""
-        return self.key[:12]
+        """A letter (so that no reader takes it for a number) and the key's first eleven digits: names its folder."""
+        return f"r{self.key[:11]}"
 
 
 def load_batch(name: str) -> tuple[Batch, Path]:
@@ -221,8 +221,9 @@ def _merged(content: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, An
     result = dict(content)
     for name, value in changes.items():
         old = result.get(name)
-        inside = isinstance(old, dict) and isinstance(value, dict) and not any(tag in value for tag in TAGS)
-        result[name] = _merged(old, value) if inside else value
+        if isinstance(old, dict) and isinstance(value, dict) and not any(tag in value for tag in TAGS):
+            value = _merged(old, value)
+        result[name] = value
     return result
 
 

@@ -1,0 +1,117 @@
+"""Doing what is left of a batch: which runs, how often, and what is written down about them."""
+
+import os
+import platform
+import shutil
+import sys
+from collections import Counter, deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from cosim.batch.matrix import PACKAGES, Run
+from cosim.batch.spec import Batch
+from cosim.batch.store import Store
+from cosim.batch.task import Answer, Task
+from cosim.terminal import Tally
+
+Executor = Callable[[deque[Task], float], Iterator[Answer]]  # (queue, time limit [s])
+FINAL = ("input",)  # kinds of failure that a second attempt cannot mend
+
+
+Tell = Callable[[Tally], None]
+
+
+def execute(
+    batch: Batch, runs: Sequence[Run], store: Store, executor: Executor, tell: Tell, *, file: Path, retry: bool
+) -> Tally:
+    """Do every run that has neither finished nor failed yet; with `retry`, also those that failed.
+
+    However this ends, the manifest says how far it came, and every finished run is whole.
+    """
+    by_id = {run.id: run for run in runs}
+    with store.opened(by_id):
+        if retry:
+            store.forget_failures()
+        done, failed = store.finished() & set(by_id), set(store.failures()) & set(by_id)
+        tally = Tally(len(runs), len(done), len(failed - done), len(done | failed))
+        attempts: Counter[str] = Counter()
+        reasons: dict[str, list[dict[str, Any]]] = {}
+        queue = deque(_task(run, store, 0) for run in runs if run.id not in done | failed)
+        tell(tally)
+        try:
+            for answer in executor(queue, batch.time_limit):
+                run = by_id[answer.run]
+                answer = _kept(answer, store)
+                attempts[run.id] += 1
+                if answer.kind == "done":
+                    tally = replace(tally, done=tally.done + 1)
+                else:
+                    reasons.setdefault(run.id, []).append({"kind": answer.kind, "message": answer.message})
+                    if answer.kind not in FINAL and attempts[run.id] <= batch.retries:
+                        queue.append(_task(run, store, attempts[run.id]))
+                    else:
+                        _try(lambda: store.fail(run.id, _failure(run, reasons[run.id])))  # noqa: B023
+                        tally = replace(tally, failed=tally.failed + 1)
+                _try(lambda: store.log(_entry(answer, attempts[run.id])))  # noqa: B023
+                tell(tally)
+        finally:
+            _try(lambda: store.write_manifest(manifest(batch, runs, store, file)))
+        return tally
+
+
+def _task(run: Run, store: Store, attempt: int) -> Task:
+    return Task(run.id, run.scenario, msgspec.to_builtins(run.cell), run.key, store.partial(run.id, attempt))
+
+
+def _kept(answer: Answer, store: Store) -> Answer:
+    """Publish what a good attempt wrote and remove what a bad one left; where that fails, the attempt was a bad one."""
+    if answer.kind == "done":
+        try:
+            store.finish(answer.run, answer.folder)
+        except OSError as error:
+            answer = replace(answer, kind="error", message=f"cannot be kept: {error.strerror} ({error.filename})")
+    if answer.kind != "done":
+        shutil.rmtree(answer.folder, ignore_errors=True)
+    return answer
+
+
+def _try(write: Callable[[], None]) -> None:
+    """Write a record. On a full disk the batch goes on; the run stays open and the next command does it again."""
+    try:
+        write()
+    except OSError as error:
+        print(f"a record could not be written: {error}", file=sys.stderr)
+
+
+def _failure(run: Run, reasons: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    return {"run": run.id, "labels": msgspec.to_builtins(run.cell), "attempts": list(reasons)}
+
+
+def _entry(answer: Answer, attempt: int) -> dict[str, Any]:
+    seconds, peak = round(answer.seconds, 3), round(answer.peak_mb, 1)
+    return {"run": answer.run, "attempt": attempt, "ended": answer.kind, "seconds": seconds, "peak_mb": peak}
+
+
+def manifest(batch: Batch, runs: Sequence[Run], store: Store, file: Path) -> dict[str, Any]:
+    """What was run with what, and how each run ended; with it every run can be done again and compared."""
+    finished, failures = store.finished(), store.failures()
+    listed = []
+    for run in runs:
+        state = "done" if run.id in finished else "failed" if run.id in failures else "open"
+        entry: dict[str, Any] = {"run": run.id, "key": run.key, **msgspec.to_builtins(run.cell), "state": state}
+        if state == "done":
+            entry["results"] = msgspec.json.decode((store.run_folder(run.id) / "manifest.json").read_bytes())["results"]
+        listed.append(entry)
+    return {
+        "file": str(file),
+        "batch": msgspec.to_builtins(batch),
+        "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
+        "machine": {"system": platform.system(), "processor": platform.machine(), "cores": os.cpu_count()},
+        "states": dict(Counter(entry["state"] for entry in listed)),
+        "runs": listed,
+    }

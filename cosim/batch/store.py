@@ -1,0 +1,148 @@
+"""A batch on disk: one folder per finished run, tables that join them, failures, a log and a manifest.
+
+    runs/<id>/                 a run folder as `cosim run` writes it; it appears whole or not at all
+    groups/run=<id>/part.parquet   its tables once more (hard links), partitioned by run; so for every table
+    failures/<id>.json         runs that failed for good, with their reasons
+    log.jsonl                  one line per ended attempt: seconds, memory, outcome
+    manifest.json              file, versions, machine, every run with its key, labels, state and hashes
+
+Runs that a changed file no longer has stay in `runs/`, so that changing back costs nothing; the tables hold the runs of
+the present file alone.
+"""
+
+import json
+import os
+import shutil
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from cosim.results import TABLES
+from gri.errors import InputError
+
+PARTIAL = ".partial"
+
+
+class Store:
+    """The folder of one batch."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    @contextmanager
+    def opened(self, wanted: Iterable[str]) -> Iterator[None]:
+        """Hold the folder for this process; tables show the finished ones of the `wanted` runs, leftovers are gone."""
+        try:
+            (self.folder / "runs").mkdir(parents=True, exist_ok=True)
+            (self.folder / "failures").mkdir(exist_ok=True)
+        except OSError as error:
+            raise InputError(f"cannot write to {self.folder}: {error.strerror}; give another --out") from None
+        with _locked(self.folder / ".lock"):
+            for path in (self.folder / "runs").glob(f"*{PARTIAL}"):
+                shutil.rmtree(path, ignore_errors=True)
+            self._show(set(wanted))
+            yield
+
+    def run_folder(self, run: str) -> Path:
+        return self.folder / "runs" / run
+
+    def partial(self, run: str, attempt: int) -> Path:
+        """Where an attempt writes: a folder that is not there yet and that no other process ever uses."""
+        return self.folder / "runs" / f"{run}-{os.getpid()}-{attempt}{PARTIAL}"
+
+    def finished(self) -> set[str]:
+        return {path.name for path in (self.folder / "runs").glob("*") if not path.name.endswith(PARTIAL)}
+
+    def failures(self) -> dict[str, dict[str, Any]]:
+        """What is known about each run that failed for good."""
+        return {path.stem: json.loads(path.read_text()) for path in sorted((self.folder / "failures").glob("*.json"))}
+
+    def finish(self, run: str, partial: Path) -> None:
+        """Publish what an attempt wrote; the last line makes the run a finished one, an OSError leaves it open."""
+        try:
+            self._link(run, partial)
+            (self.folder / "failures" / f"{run}.json").unlink(missing_ok=True)
+            os.replace(partial, self.run_folder(run))
+        except OSError:
+            for table in TABLES:
+                shutil.rmtree(self._part(table, run).parent, ignore_errors=True)
+            raise
+
+    def fail(self, run: str, record: Mapping[str, Any]) -> None:
+        write_whole(self.folder / "failures" / f"{run}.json", json.dumps(record, indent=2) + "\n")
+
+    def forget_failures(self) -> None:
+        for path in (self.folder / "failures").glob("*.json"):
+            path.unlink()
+
+    def log(self, entry: Mapping[str, Any]) -> None:
+        with (self.folder / "log.jsonl").open("a") as file:
+            file.write(json.dumps(entry) + "\n")
+
+    def write_manifest(self, content: Mapping[str, Any]) -> None:
+        write_whole(self.folder / "manifest.json", json.dumps(content, indent=2) + "\n")
+
+    def manifest(self) -> dict[str, Any]:
+        """The manifest; an InputError where the folder is not a batch's."""
+        path = self.folder / "manifest.json"
+        if not path.is_file() or not (self.folder / "runs").is_dir():
+            raise InputError(f"{self.folder}: not the folder of a batch; `cosim batch FILE` writes one")
+        return json.loads(path.read_text())
+
+    def _show(self, wanted: set[str]) -> None:
+        """Let the tables hold the finished ones of these runs, and no others."""
+        present = wanted & self.finished()
+        for table in TABLES:
+            (self.folder / table).mkdir(exist_ok=True)
+            for path in (self.folder / table).glob("run=*"):
+                if path.name.removeprefix("run=") not in present:
+                    shutil.rmtree(path)
+        for run in present:
+            self._link(run, self.run_folder(run))
+
+    def _part(self, table: str, run: str) -> Path:
+        return self.folder / table / f"run={run}" / "part.parquet"
+
+    def _link(self, run: str, source: Path) -> None:
+        for table in TABLES:
+            part = self._part(table, run)
+            if not part.is_file():
+                part.parent.mkdir(exist_ok=True)
+                _link_or_copy(source / f"{table}.parquet", part)
+
+
+def _link_or_copy(source: Path, target: Path) -> None:
+    try:
+        os.link(source, target)
+    except OSError:  # a file system without hard links
+        temporary = target.with_suffix(".copy")
+        shutil.copyfile(source, temporary)
+        os.replace(temporary, target)
+
+
+def write_whole(path: Path, text: str) -> None:
+    """Write a file so that it appears whole or not at all."""
+    temporary = path.with_name(path.name + ".part")
+    try:
+        temporary.write_text(text)
+        os.replace(temporary, path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+@contextmanager
+def _locked(path: Path) -> Iterator[None]:
+    """Hold a lock that ends with this process, however it ends."""
+    try:
+        import fcntl
+    except ImportError:  # Windows: nobody watches over two commands on one folder
+        yield
+        return
+    with path.open("w") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            raise InputError(f"{path.parent}: another `cosim batch` is running here; wait for it or stop it") from None
+        yield

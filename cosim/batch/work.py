@@ -1,0 +1,50 @@
+"""What a worker does with one run, wherever it runs."""
+
+import os
+import sys
+import traceback
+from pathlib import Path
+
+from cosim.batch.matrix import key_of
+from cosim.batch.task import LOG, Answer, Task
+from cosim.job import run_job
+from gri.errors import InputError
+
+
+def perform(task: Task) -> Answer:
+    """Do the run in this process, which prints into its folder from now on; every failure becomes an answer."""
+    try:
+        task.folder.mkdir(parents=True)
+        _print_to(task.folder / LOG)
+        if key_of(task.scenario, task.labels) != task.key:
+            raise InputError(
+                "the net, the checkpoint or the versions here are not those that the batch began with; start"
+                " `cosim batch` again, with the same installation on every machine"
+            )
+        run_job(task.scenario, task.folder, lambda *_: None, labels=task.labels, draw=False)
+    except InputError as error:
+        return Answer(task.run, task.folder, "input", str(error))
+    except OSError as error:
+        return Answer(task.run, task.folder, "error", f"{error.strerror or error} ({type(error).__name__})")
+    except Exception as error:
+        traceback.print_exc()
+        return Answer(task.run, task.folder, "error", f"{type(error).__name__}: {error}")
+    return Answer(task.run, task.folder, "done", peak_mb=_peak_mb())
+
+
+def _print_to(path: Path) -> None:
+    """Send everything this process prints, SUMO included, to a file."""
+    stream = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
+    os.dup2(stream, 1)
+    os.dup2(stream, 2)
+    os.close(stream)
+
+
+def _peak_mb() -> float:
+    """Peak resident memory of this process; 0 where the system does not tell."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return 0.0
+    unit = 2**20 if sys.platform == "darwin" else 2**10
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
