@@ -10,6 +10,7 @@ from typing import Annotated, Literal, NoReturn
 import msgspec
 import typer
 
+from cosim.batch import commands as batch_commands
 from cosim.terminal import Stages, console, errors, next_command, say
 from gri.errors import InputError
 
@@ -94,6 +95,10 @@ def report(
     next_command(f"python -c \"import pandas; print(pandas.read_parquet('{run}/steps.parquet'))\"")
 
 
+app.command()(batch_commands.batch)
+app.command()(batch_commands.results)
+
+
 @app.command("list")
 def list_() -> None:
     """List the scenarios, nets and checkpoints that come with the project."""
@@ -111,9 +116,14 @@ def list_() -> None:
 
 
 @app.command()
-def schema() -> None:
-    """Print the JSON Schema of scenario files, for editors."""
-    from cosim.scenario import json_schema
+def schema(
+    of: Annotated[Literal["scenario", "batch"], typer.Argument(help="The kind of file.")] = "scenario",
+) -> None:
+    """Print the JSON Schema of scenario or batch files, for editors."""
+    if of == "batch":
+        from cosim.batch.spec import json_schema
+    else:
+        from cosim.scenario import json_schema
 
     sys.stdout.write(msgspec.json.format(json.dumps(json_schema())) + "\n")
 
