@@ -7,7 +7,7 @@ from cosim.episode import COLUMNS, Ending
 from cosim.groups import SAME_LANE, MergeLanes, next_ahead
 from cosim.sumo import Snapshot
 
-_S, _D = COLUMNS.index("s"), COLUMNS.index("d")
+_S, _D, _V = (COLUMNS.index(name) for name in ("s", "d", "v"))
 
 State = Float[np.ndarray, "3 C"]
 Rows = Int[np.ndarray, " 3"]
@@ -21,18 +21,19 @@ def car_following(before: State, now: State, snapshot: Snapshot, rows: Rows) -> 
 
 
 def merging(
-    before: State, now: State, snapshot: Snapshot, rows: Rows, lanes: MergeLanes, width: float
+    before: State, now: State, snapshot: Snapshot, rows: Rows, lanes: MergeLanes, width: float, dt: float
 ) -> Ending | None:
     """Vehicle 0 is on its way to the target lane, 1 and 2 keep theirs; `width` [m] is that of vehicle 0.
 
-    LANE_END: its front passes the end of its lane while its centre is still on it. MERGED only says that vehicle 0 is
-    inside the target lane now; how long it must stay there is not decided here.
+    LANE_END: its front would pass the end of its lane in the next step while its centre is still on it; beyond there is
+    no road to put it on. MERGED only says that vehicle 0 is inside the target lane now; how long it must stay there is
+    not decided here.
     """
     if (np.abs(now[1:, _D] - before[1:, _D]) > SAME_LANE).any():
         return Ending.LANE_LEFT
     if _between(snapshot, rows, lanes).any():
         return Ending.CUT_IN
-    if now[0, _S] >= lanes.source.end and now[0, _D] < lanes.boundary:
+    if now[0, _S] + now[0, _V] * dt >= lanes.source.end and now[0, _D] < lanes.boundary:
         return Ending.LANE_END
     inside = abs(now[0, _D] - lanes.target.centre) + 0.5 * width <= 0.5 * lanes.target.width
     return Ending.MERGED if inside else None

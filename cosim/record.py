@@ -112,7 +112,7 @@ class Record:
         if not isinstance(self._task.rule, Merge):
             return endings.car_following(*seen)
         assert self._task.lanes is not None, "a merge takes place between two lanes"
-        ending = endings.merging(*seen, self._task.lanes, float(self._width[g, 0]))
+        ending = endings.merging(*seen, self._task.lanes, float(self._width[g, 0]), self._task.dt)
         if ending is not Ending.MERGED:
             self._inside[g] = 0
             return ending

@@ -15,7 +15,8 @@ from gri.types import Trajectory
 class MergingDriver:
     """Vehicles right of the target lane (y < −width/2, its centre at y = 0) change to it when the gap is safe.
 
-    Everybody follows the next vehicle ahead in the target lane by `driver`. A merger starts to move over when it has
+    Everybody follows the next vehicle ahead in the target lane by `driver`; who is in the target lane also makes room
+    for one who is about to merge ahead, braking up to `courtesy`. A merger starts to move over when it has
     `smallest_gap` to both neighbours there and neither it nor the one behind would have to brake harder than
     `safe_deceleration` (the safety criterion of MOBIL, Kesting et al. 2007); else it stays in its lane. Across the road
     the wanted lateral speed is `lateral_gain`·(y* − y), at most `lateral_speed`, and the heading follows with
@@ -26,6 +27,7 @@ class MergingDriver:
     width: float = 3.66  # [m], of a lane
     smallest_gap: float = 1.0  # [m], net
     safe_deceleration: float = 3.0  # [m/s^2]
+    courtesy: float = 2.0  # [m/s^2]
     lateral_speed: float = 1.2  # [m/s]
     lateral_gain: float = 0.7  # [1/s]
     heading_gain: float = 2.5  # [1/s]
@@ -43,9 +45,12 @@ class MergingDriver:
     def act(self, memory: PolicyState, state: Float[Tensor, "B N 6"]) -> tuple[Float[Tensor, "B N 2"], PolicyState]:
         x, y, v, heading, a, yaw_rate = state.unbind(-1)
         there = y > -0.5 * self.width
-        distance = torch.where(there[:, None, :], x[:, None, :] - x[:, :, None], torch.nan)  # (B, vehicle, other)
-        headway, leader = torch.where(distance > 0, distance, torch.inf).min(-1)
-        target = self.driver.target_acceleration(v, v.gather(1, leader), headway)
+        ahead = x[:, None, :] - x[:, :, None]  # Shape: (B, vehicle, other)
+        distance = torch.where(there[:, None, :], ahead, torch.nan)
+        target, headway = self._following(distance, v)
+        with_mergers, _ = self._following(ahead, v)
+        making_room = torch.minimum(target, with_mergers.clamp(min=-self.courtesy))
+        target = torch.where(there, making_room, target)
         safe = self._safe(distance, v, headway) & (target >= -self.safe_deceleration)
         wanted_y = torch.where(there | safe, torch.zeros_like(y), -self.width)
         lateral = (self.lateral_gain * (wanted_y - y)).clamp(-self.lateral_speed, self.lateral_speed)
@@ -53,6 +58,13 @@ class MergingDriver:
         wanted_heading = wanted_heading.clamp(-self.greatest_heading, self.greatest_heading)
         wanted_yaw = self.heading_gain * (wanted_heading - heading)
         return torch.stack([target - a, wanted_yaw - yaw_rate], -1) / self.dt, memory
+
+    def _following(
+        self, ahead: Float[Tensor, "B N N"], v: Float[Tensor, "B N"]
+    ) -> tuple[Float[Tensor, "B N"], Float[Tensor, "B N"]]:
+        """Acceleration behind the nearest vehicle ahead, and the headway to it."""
+        headway, leader = torch.where(ahead > 0, ahead, torch.inf).min(-1)
+        return self.driver.target_acceleration(v, v.gather(1, leader), headway), headway
 
     def _safe(
         self, distance: Float[Tensor, "B N N"], v: Float[Tensor, "B N"], headway: Float[Tensor, "B N"]
