@@ -1,9 +1,11 @@
-"""The files a scenario names: its net and its checkpoint, found and hashed without importing torch or SUMO."""
+"""The files a scenario names: net, checkpoint, policy; found and hashed without importing torch or SUMO."""
 
 import hashlib
+from importlib.util import find_spec
 from pathlib import Path
 from xml.etree import ElementTree
 
+from cosim.scenario import Own, Scenario, Trained
 from gri.errors import InputError
 from gri.resources import checkpoint as released
 from gri.resources import checkpoints, shipped
@@ -21,6 +23,36 @@ def find_net(name: str) -> Path:
         raise InputError(f"{path}:{error.position[0]}: not well-formed XML ({error}); build the net again") from None
     if root.tag != "net":
         raise InputError(f"{path}: got a <{root.tag}> file, expected a SUMO <net>; build one with netconvert")
+    return path
+
+
+def input_files(scenario: Scenario) -> dict[str, Path]:
+    """Every file besides the scenario itself that a run depends on: its net, its checkpoint, its policy's source."""
+    files = {"net": find_net(scenario.net)}
+    if isinstance(scenario.policy, Trained):
+        files["checkpoint"] = checkpoint_path(scenario.policy.checkpoint)
+    if isinstance(scenario.policy, Own):
+        files["policy"] = source_path(scenario.policy)
+    return files
+
+
+def source_path(policy: Own) -> Path:
+    """The Python file that an own policy stands in."""
+    place = policy.object.rpartition(":")[0]
+    if place.endswith(".py"):
+        path = Path(place)
+    else:
+        try:
+            found = find_spec(place)
+        except ModuleNotFoundError:
+            found = None
+        if found is None or not found.origin:
+            raise InputError(
+                f"policy.object: no module {place!r} is installed; for a file of your own write 'file.py:Name'"
+            )
+        path = Path(found.origin)
+    if not path.is_file():
+        raise InputError(f"policy.object: no file {place!r}, seen from {Path.cwd()}; give the path of a Python file")
     return path
 
 

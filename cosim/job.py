@@ -11,10 +11,10 @@ import torch
 from cosim import results
 from cosim.closed_loop import Files, run
 from cosim.groups import expected_graph
-from cosim.inputs import find_net, sha256
-from cosim.policies import checkpoint_path, driver_of
+from cosim.inputs import find_net, input_files, sha256
+from cosim.policies import driver_of
 from cosim.report import picture
-from cosim.scenario import Scenario, Trained, tag_of
+from cosim.scenario import Scenario, tag_of
 from cosim.sumo import SumoError
 from cosim.survey import Survey, survey
 from cosim.traffic import arguments
@@ -42,9 +42,9 @@ def run_job(
     Labels, which say what the run is among others, become the first columns of the groups table.
     """
     torch.set_num_threads(1)  # the models are tiny: more threads are slower
-    net, driver = find_net(scenario.net), driver_of(scenario)
+    inputs, driver = input_files(scenario), driver_of(scenario)
     with tempfile.TemporaryDirectory() as scratch:
-        files = Files(net, Path(scratch, "routes.rou.xml"), folder / "sumo.log")
+        files = Files(inputs["net"], Path(scratch, "routes.rou.xml"), folder / "sumo.log")
         try:
             outcome = run(scenario, files, driver, tell)
         except SumoError as error:
@@ -63,15 +63,12 @@ def run_job(
         "graphs": results.graphs_table(episodes),
     }
     results.write_tables(folder, tables)
-    inputs = {"net": net}
-    if isinstance(scenario.policy, Trained):
-        inputs["checkpoint"] = checkpoint_path(scenario.policy.checkpoint)
     (folder / "scenario.json").write_bytes(msgspec.json.format(msgspec.json.encode(scenario)) + b"\n")
     run_facts = {
         "driver": tag_of(scenario.policy),
         "seed": scenario.seed,
         "episodes": scenario.episodes,
-        "sumo_arguments": arguments(scenario, net.name, "routes.rou.xml", "sumo.log"),
+        "sumo_arguments": arguments(scenario, inputs["net"].name, "routes.rou.xml", "sumo.log"),
         "simulated_seconds": outcome.simulated,
         "trunk_collision_steps": outcome.collisions,
         "trunk_teleports": outcome.teleports,

@@ -5,6 +5,8 @@ from pathlib import Path
 from cosim import scenario as spec
 from cosim.driving import Driver
 from cosim.frames import NOMINAL_LENGTH
+from cosim.inputs import checkpoint_path
+from cosim.own_policy import own_policy
 from gri import checkpoint
 from gri.dynamics import DUBINS, POINT_MASS_1D, DynamicsName
 from gri.errors import InputError
@@ -12,8 +14,6 @@ from gri.graph import FOLLOWING, LANE_CHANGING, Vocabulary
 from gri.merging import MergingDriver
 from gri.model import RelationalModel
 from gri.policy import ConstantVelocity, IntelligentDriver, Policy
-from gri.resources import checkpoint as released
-from gri.resources import checkpoints
 
 
 def driver_of(scenario: spec.Scenario) -> Driver | None:
@@ -43,19 +43,10 @@ def policy_of(scenario: spec.Scenario) -> Policy | None:
             model = checkpoint.load(path)
             _check_vocabulary(model, scenario.group, path)
             policy = model
+        case spec.Own() as own:
+            policy = own_policy(own, scenario.step)
     _check_fit(policy, scenario)
     return policy
-
-
-def checkpoint_path(name: str) -> Path:
-    """The file of a checkpoint given by path or by the name of a released one."""
-    for path in (Path(name), released(name)):
-        if path.is_file():
-            return path
-    raise InputError(
-        f"policy.checkpoint: no checkpoint {name!r}: expected a path or a released name ({', '.join(checkpoints())});"
-        " make one with `gri train`"
-    )
 
 
 def _wanted(rule: spec.GroupRule) -> tuple[DynamicsName, Vocabulary]:

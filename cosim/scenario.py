@@ -187,6 +187,16 @@ class LeftToSumo(Spec, frozen=True, kw_only=True, tag_field="kind", tag="sumo"):
     """Nobody takes the group over: the null run."""
 
 
+class Own(Spec, frozen=True, kw_only=True, tag_field="kind", tag="python"):
+    """An own policy: `object` is "file.py:Name" or "package.module:Name", called with dt [s] and the `settings`.
+
+    What the call returns must be a `gri.policy.Policy`; docs/tutorial.md writes one.
+    """
+
+    object: Annotated[str, Meta(pattern=r"^[^:]+:[A-Za-z_][A-Za-z0-9_]*$")]
+    settings: dict[str, Any] = field(default_factory=dict)
+
+
 class Inferred(Spec, frozen=True, kw_only=True, tag_field="source", tag="inferred"):
     """The graph the policy infers from what it saw."""
 
@@ -210,7 +220,7 @@ class Enforced(Spec, frozen=True, kw_only=True, tag_field="source", tag="enforce
 
 
 GraphSource = Inferred | GroundTruth | Enforced
-Driver = Trained | Idm | ConstantVelocity | LeftToSumo
+Driver = Trained | Idm | ConstantVelocity | LeftToSumo | Own
 
 
 def tag_of(choice: GroupRule | Driver) -> str:

@@ -14,9 +14,9 @@ from typing import Any
 import msgspec
 
 from cosim.batch.spec import NOMINAL, PLAIN, Addition, Batch, Sweep
-from cosim.inputs import checkpoint_path, find_net, sha256
+from cosim.inputs import input_files, sha256
 from cosim.loading import find, load_scenario, traffic_of
-from cosim.scenario import Driver, Scenario, Trained, tag_of
+from cosim.scenario import Driver, Scenario, tag_of
 from gri.config import checked, located, parsed, typed
 from gri.errors import InputError
 
@@ -84,14 +84,12 @@ def expand(batch: Batch, path: Path) -> tuple[Run, ...]:
 
 
 def key_of(scenario: Scenario, labels: Mapping[str, Any]) -> str:
-    """SHA-256 of all that a run's results depend on: scenario, net, checkpoint, labels and versions."""
-    policy = scenario.policy
+    """SHA-256 of all that a run's results depend on: scenario, the files it names, labels and versions."""
     facts = {
         "format": FORMAT,
         "scenario": msgspec.to_builtins(msgspec.structs.replace(scenario, description="")),
         "labels": dict(labels),
-        "net": _sha256(find_net(scenario.net)),
-        "checkpoint": _sha256(checkpoint_path(policy.checkpoint)) if isinstance(policy, Trained) else None,
+        "inputs": {name: _sha256(path) for name, path in input_files(scenario).items()},
         "versions": {name: version(name) for name in PACKAGES},
     }
     return hashlib.sha256(msgspec.json.encode(facts, order="sorted")).hexdigest()
