@@ -150,6 +150,70 @@ def test_release_gives_no_jump_and_restores_the_modes(road):
         assert after[1] == pytest.approx(d, abs=1e-6)
 
 
+def straddle(world, twin: bool) -> tuple[float, list[tuple[str, str]], set[str]]:
+    """A car stands across the line between lanes 1 and 2 while another one comes along in lane 2 at 15 m/s.
+
+    Returns where the other car ends up relative to it [m], what SUMO reported, and all ids that were seen.
+    """
+    s, d, *_ = state_of(world, "a")
+    line = d + 0.5 * 3.37  # entry_1 is 3.37 m wide
+    libsumo.vehicle.setLaneChangeMode("b", 0)
+    world.take("a")
+    collisions, seen = [], set()
+    for k in range(60):
+        speed = max(15.0 - 1.4 * k, 0.0)
+        s += 0.2 * speed
+        across = min(d + 0.1 * k, line - 0.05)  # its centre stays in lane 1
+        world.command("a", s, across, 0.0, speed, lane="entry_1")
+        if twin and across > line - 0.9:
+            world.place_twin("a", s, across, 0.0, speed, "entry_2")
+        report = world.step()
+        collisions += report.collisions
+        seen |= {*world.snapshot(ROAD).ids, *report.arrived, *report.teleported}
+    behind = s - state_of(world, "b")[0]
+    if twin:
+        world.remove_twin("a")
+        world.step()
+        assert not [v for v in libsumo.vehicle.getIDList() if v.startswith("twin")]
+    world.release("a")
+    return behind, collisions, seen
+
+
+def test_a_vehicle_across_a_line_is_seen_in_both_lanes_only_with_a_twin(road):
+    """The other car's lane is the one that `a` is not booked on: without a twin it drives through."""
+    with road(vehicle("a", 100.0, lane=1), vehicle("b", 30.0, lane=2)) as world:
+        behind, *_ = straddle(world, twin=False)
+        assert behind < 0
+    with road(vehicle("a", 100.0, lane=1), vehicle("b", 30.0, lane=2)) as world:
+        behind, collisions, seen = straddle(world, twin=True)
+        assert behind - 5.0 > 0.5
+        assert not collisions
+        assert seen == {"a", "b"}
+        assert world.waiting() == 0
+
+
+def test_placement_beside_a_twin_is_exact(road):
+    with road(vehicle("a", 60.0, lane=1)) as world:
+        s, d, *_ = state_of(world, "a")
+        world.take("a")
+        for _ in range(5):
+            s, d = s + 0.2 * 12.0, d + 0.3
+            world.place_twin("a", s, d, 0.1, 12.0, "entry_2")
+            world.command("a", s, d, 0.1, 12.0, lane="entry_1")
+            world.step()
+            assert state_of(world, "a")[:4] == pytest.approx((s, d, 0.1, 12.0), abs=1e-9)
+            assert state_of(world, "a")[4] == "entry_1"
+
+
+def test_a_vehicle_beside_the_road_has_no_lane(road):
+    with road(vehicle("a", 60.0, lane=0)) as world:
+        s, d, *_ = state_of(world, "a")
+        world.take("a")
+        world.command("a", s + 3.0, d - 6.0, 0.0, 15.0)
+        world.step()
+        assert state_of(world, "a")[4] == ""
+
+
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_non_finite_commands_are_refused(road, bad):
     with road(vehicle("a", 10.0)) as world:
