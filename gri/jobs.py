@@ -24,6 +24,7 @@ from gri.evaluate import believed
 from gri.graph import InteractionGraph, Vocabulary
 from gri.model import Edge, RelationalModel
 from gri.objectives.airl import AdversarialSettings
+from gri.objectives.gri import GroundedSettings
 from gri.rewards import StructuredReward
 from gri.rows import Row, Scenario
 from gri.train import TrainConfig, model_config, train
@@ -218,6 +219,9 @@ def quick(job: Job) -> Job:
     """The same job, a hundred times smaller: shows that everything runs, its figures mean nothing."""
     data = msgspec.structs.replace(job.config.data, train=200, validation=20, test=50, expert_updates=20)
     objective = msgspec.structs.replace(job.config.objective, updates=10)
+    if isinstance(objective, GroundedSettings):
+        optima = objective.optima and msgspec.structs.replace(objective.optima, scenes=50)
+        objective = msgspec.structs.replace(objective, planner_updates=10, optima=optima)
     config = msgspec.structs.replace(job.config, name=f"{job.config.name}-quick", data=data, objective=objective)
     headways = job.scenario.protocol.headways[::4]
     protocol = replace(job.scenario.protocol, headways=headways, starts=20)

@@ -26,6 +26,11 @@ these headways, without demonstrations there; "tested range held out" does not r
 training scenes' least headway in those roll-outs. The oracle is the open-loop optimum of the true reward over the same
 T steps; policies can pass it, as success is not what it maximises.
 """
+FLIP_NOTES = """\
+Flip test, least seed: an edge is forced from one type to another on the same start; in what share of the scenes [%]
+does the final headway x_i − x_j (its sign: the order; or the lateral distance) change the way it does in the optimum
+of the true reward? Scenes in which that changes it by less than 0.1 m do not count.
+"""
 FRONTS = {
     Front.CONSTANT_SPEED: "Vehicle 1 keeps its speed",
     Front.POLICY: "Vehicle 1 is driven by the same policy, without a vehicle to heed",
@@ -68,6 +73,9 @@ def _scores(plan: Plan, wanted: Sequence[Job]) -> list[Path]:
     parts = [f"# {plan.target}: {plan.seeds} seeds, {scenes} test scenes\n", NOTES]
     for scenario in _scenarios(wanted):
         parts += [f"## {scenario.title}\n", tables.markdown_table(scores, scenario) + "\n"]
+        flips = tables.markdown_flips(scores, scenario)
+        if flips:
+            parts += [FLIP_NOTES, flips + "\n"]
         weights = tables.markdown_weights(wanted, plan.cache, scenario)
         if weights:
             parts += ["Reward weights over the jerk's, mean over seeds [range]:\n", weights + "\n"]
@@ -79,6 +87,9 @@ def _curves(plan: Plan, wanted: Sequence[Job], curves: pd.DataFrame) -> list[Pat
     for scenario in _scenarios(wanted):
         for front, title in FRONTS.items():
             parts += [f"## {scenario.title}. {title}\n", tables.markdown_curves(curves, scenario, front) + "\n"]
+            if "y" in scenario.features:
+                collisions = tables.markdown_curves(curves, scenario, front, "collision")
+                parts += ["Collision rate [%]: closer than 2 m at some instant.\n", collisions + "\n"]
     return _write(plan, {"ood": curves, "ood_areas": tables.areas(curves)}, "\n".join(parts))
 
 

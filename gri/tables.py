@@ -148,21 +148,36 @@ def _f1(part: pd.DataFrame) -> str:
     return ", ".join(values) or "–"
 
 
-def markdown_curves(curves: pd.DataFrame, scenario: rows.Scenario, front: Front) -> str:
-    """Success [%] by headway, mean over seeds, and the area under the curve over the oracle's."""
+def markdown_curves(curves: pd.DataFrame, scenario: rows.Scenario, front: Front, metric: str = "success") -> str:
+    """A rate [%] by headway, mean over seeds; for success also the area under the curve over the oracle's."""
     part = curves[(curves["scenario"] == scenario.name) & (curves["front"] == front)]
     headways = sorted(part["headway"].unique(), reverse=True)
     share = areas(curves)
     share = share[(share["scenario"] == scenario.name) & (share["front"] == front)]
-    heads = ["model", *[f"{x:+.0f} m" for x in headways], "area", "area ÷ oracle's, least seed"]
+    with_area = metric == "success"
+    heads = ["model", *[f"{x:+.0f} m" for x in headways]]
+    heads += ["area", "area ÷ oracle's, least seed", "seeds"] if with_area else []
     lines = [heads, ["---"] * len(heads)]
     for name in ["oracle", *[row.name for row in scenario.rows]]:
         mine, area = part[part["row"] == name], share[share["row"] == name]
         if len(mine):
-            success = [100 * mine[mine["headway"] == x]["success"].mean() for x in headways]
-            cells = [f"{fmean(area['area']):.3f}", f"{min(area['share_of_oracle']):.3f}"]
-            lines.append([name, *[f"{value:.1f}" for value in success], *cells])
+            cells = [f"{100 * mine[mine['headway'] == x][metric].mean():.1f}" for x in headways]
+            if with_area:
+                seeds = "" if name == "oracle" else str(mine["seed"].nunique())
+                cells += [f"{fmean(area['area']):.3f}", f"{min(area['share_of_oracle']):.3f}", seeds]
+            lines.append([name, *cells])
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def markdown_flips(scores: pd.DataFrame, scenario: rows.Scenario) -> str:
+    """Share of scenes [%] in which a flipped edge does what it does in the optimum, least seed; "" if untested."""
+    ours = scores[(scores["scenario"] == scenario.name) & scores["metric"].str.startswith("flip ")]
+    flips = list(dict.fromkeys(ours["metric"]))
+    lines = [["model", *[flip.removeprefix("flip ") for flip in flips]], ["---"] * (len(flips) + 1)]
+    for name, part in ours.groupby("row", sort=False):
+        found = [part[part["metric"] == flip]["mean"] for flip in flips]
+        lines.append([str(name), *[f"{100 * share.min():.1f}" if len(share) else "–" for share in found]])
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines) if flips else ""
 
 
 def markdown_weights(wanted: Sequence[Job], cache: Path, scenario: rows.Scenario) -> str:

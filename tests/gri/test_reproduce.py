@@ -11,6 +11,7 @@ import pytest
 from gri import jobs, reproduce, rows, tables
 from gri.errors import InputError
 from gri.jobs import Job
+from gri.ood import Front
 from gri.reproduce import Plan, jobs_of
 from gri.rows import ROWS, SCENARIOS, config_of, printed, rows_of, scenario_named
 
@@ -114,6 +115,29 @@ def test_a_table_stands_beside_the_papers(tmp_path: Path):
     assert cells[:3] == ["Supervised", "0.0300 ± 0.0200 [0.0200, 0.0400]", "0.039 ± 0.016"]
     assert cells[5:9] == ["–", "–", "–", "–"]
     assert cells[9] == "2"
+
+
+def test_flips_are_told_by_their_least_seed():
+    line = {"scenario": "lane_changing", "row": "GRI"}
+    shares = [("flip a", 0, 1.0), ("flip a", 1, 0.97), ("flip b", 0, 0.5), ("rmse_x", 0, 0.1)]
+    scores = pd.DataFrame([line | {"metric": metric, "seed": seed, "mean": mean} for metric, seed, mean in shares])
+    table = tables.markdown_flips(scores, scenario_named("lane_changing")).splitlines()
+    assert table[0] == "| model | a | b |"
+    assert table[2] == "| GRI | 97.0 | 50.0 |"
+    assert tables.markdown_flips(scores, scenario_named("car_following")) == ""
+
+
+def test_collisions_stand_in_a_table_without_areas():
+    base = {"scenario": "lane_changing", "front": "policy", "success": 1.0}
+    curves = pd.DataFrame(
+        [base | {"row": "oracle", "seed": -1, "headway": x, "collision": 0.0} for x in (0.0, 4.0)]
+        + [base | {"row": "GRI", "seed": 0, "headway": x, "collision": c} for x, c in ((0.0, 0.25), (4.0, 0.0))]
+    )
+    lanes = scenario_named("lane_changing")
+    collisions = tables.markdown_curves(curves, lanes, Front.POLICY, "collision").splitlines()
+    assert collisions[-1] == "| GRI | 0.0 | 25.0 |"
+    success = tables.markdown_curves(curves, lanes, Front.POLICY).splitlines()
+    assert success[-1] == "| GRI | 100.0 | 100.0 | 1.000 | 1.000 | 1 |"
 
 
 def test_areas_are_compared_with_the_oracle():
