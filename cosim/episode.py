@@ -21,6 +21,7 @@ class Ending(StrEnum):
     MERGED = "merged"  # vehicle 0 is inside the target lane and stayed there as long as the rule says
     LATE = "late"  # vehicle 0 did not merge within the horizon
     LANE_END = "lane_end"  # vehicle 0 came to the end of its lane before it was inside the target lane
+    OFF_ROAD = "off_road"  # a driven vehicle left all lanes; SUMO would drop it in the next step without a command
     CONTACT = "contact"  # the box of vehicle 0 or 1 touched another one
     CUT_IN = "cut_in"  # somebody else drove between two of the group
     LANE_LEFT = "lane_left"  # a vehicle of the group that had to keep its lane changed it

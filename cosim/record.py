@@ -108,6 +108,8 @@ class Record:
             return Ending.CONTACT
         if not frame.valid[g].all():
             return Ending.LOST
+        if not all(snapshot.lane[frame.rows[g, role]] for role in self._task.owned):
+            return Ending.OFF_ROAD
         seen = before.state[g], frame.state[g], snapshot, frame.rows[g]
         if not isinstance(self._task.rule, Merge):
             return endings.car_following(*seen)

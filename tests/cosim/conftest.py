@@ -31,9 +31,10 @@ def short_scenario() -> Scenario:
 def simulate(tmp_path: Path):
     """Run a scenario in this process and return its outcome."""
 
-    def simulate(scenario: Scenario, policy: Policy | None, name: str = "test", **options: bool) -> Outcome:
+    def simulate(scenario: Scenario, policy: Policy | Driver | None, name: str = "test", **options: bool) -> Outcome:
+        driver = Driver(name, policy) if isinstance(policy, Policy) else policy
         net = shipped("sumo_nets", scenario.net, f"{scenario.net}.net.xml")
         files = Files(net, tmp_path / "routes.rou.xml", tmp_path / "sumo.log")
-        return run(scenario, files, policy and Driver(name, policy), quiet, **options)
+        return run(scenario, files, driver, quiet, **options)
 
     return simulate
