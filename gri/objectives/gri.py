@@ -51,10 +51,16 @@ class GroundedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     reward_rate: float = 0.05
     reward_batch: int = 16
     reward_scenes: int = 256
+    reward_prior: float = 0.0
+    """Weight of Σψ² against the mean log-likelihood per vehicle [nats]: a term of which the scenes say little, as of
+    collisions where nobody comes near, keeps about the weight of one unit.
+    """
     updates: int = 1000
     batch: int = 64
     policy_rate: float = 3e-3
     encoder_rate: float = 1e-3
+    reconstruction: Literal["drawn", "likely"] = "drawn"
+    """Whether recorded scenes are reproduced under graphs drawn from the encoder, or under its most probable ones."""
     return_batch: int = 32
     return_weight: float = 0.02
     return_fade: float = 1.0
@@ -112,7 +118,8 @@ def fit_reward(
     total = settings.reward_updates
     for update, batch in enumerate(batches(len(chosen), settings.reward_batch, total, generator)):
         evidence = torch.logsumexp(_log_likelihood(reward, expansion[batch]) + prior[batch], -1).mean()
-        descent.step(-evidence)
+        spread = torch.cat([psi.square() for psi in reward.psi.values()]).sum()
+        descent.step(settings.reward_prior * spread - evidence)
         progress("reward", update + 1, total, float(evidence.detach()))
 
 
@@ -202,7 +209,8 @@ def fit_encoder_and_policy(
         with torch.no_grad():
             graph = shown if torch.equal(known, chosen) else _look(model, batch, settings, generator)
         to_encoder.step(-(posterior[known] * shown.logits.log_softmax(-1)).sum(-1).mean())
-        driven = rollout(model, batch.start, graph.sample(generator).detach(), batch.leader)
+        believed = graph.one_hot if settings.reconstruction == "likely" else graph.sample(generator).detach()
+        driven = rollout(model, batch.start, believed, batch.leader)
         loss = reconstruction_loss(driven.state, batch.state, model.dynamics)
         if optima is None:
             away = -grounded_return(model, reward, scenes, settings, settings.return_batch, generator)

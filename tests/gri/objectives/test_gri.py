@@ -1,0 +1,52 @@
+"""Options of the grounded training."""
+
+import msgspec
+import pytest
+import torch
+
+from gri.data.ranges import PAPER
+from gri.data.synthetic import Scenes, make_scenes, model_config
+from gri.decoder import DecoderConfig
+from gri.encoder import EncoderConfig
+from gri.graph import InteractionGraph
+from gri.model import RelationalModel
+from gri.objectives.gri import GroundedSettings, fit_reward, train_grounded
+from gri.rewards import StructuredReward
+
+
+@pytest.fixture
+def model() -> RelationalModel:
+    torch.manual_seed(0)
+    return RelationalModel(model_config(PAPER, DecoderConfig(hidden=8), EncoderConfig(hidden=8, heads=2)))
+
+
+@pytest.fixture
+def scenes(model: RelationalModel) -> Scenes:
+    return make_scenes(model, PAPER, PAPER.one_graph, count=16, seed=0)
+
+
+def fitted(model: RelationalModel, scenes: Scenes, prior: float) -> dict[str, float]:
+    """Distance of every group of ψ from 0 after the fit."""
+    reward = StructuredReward(PAPER.reward)
+    settings = GroundedSettings(reward_updates=30, reward_rate=0.1, reward_prior=prior)
+    fit_reward(model, reward, scenes, settings, torch.Generator().manual_seed(0))
+    return {name: float(psi.detach().norm()) for name, psi in reward.psi.items()}
+
+
+def test_the_prior_keeps_weights_at_one_unit_each(model: RelationalModel, scenes: Scenes):
+    free, held = fitted(model, scenes, 0.0), fitted(model, scenes, 1000.0)
+    assert all(held[name] < 0.3 * free[name] for name in free)
+
+
+def test_scenes_are_reproduced_under_the_most_probable_graph(
+    model: RelationalModel, scenes: Scenes, monkeypatch: pytest.MonkeyPatch
+):
+    def refuse(graph: InteractionGraph, generator: torch.Generator) -> torch.Tensor:
+        raise AssertionError("drew a graph")
+
+    monkeypatch.setattr(InteractionGraph, "sample", refuse)
+    reward = StructuredReward(PAPER.reward)
+    drawn = GroundedSettings(reward_updates=1, reward_scenes=4, updates=1, batch=4, return_batch=2)
+    train_grounded(model, reward, scenes, msgspec.structs.replace(drawn, reconstruction="likely"), 0)
+    with pytest.raises(AssertionError, match="drew a graph"):
+        train_grounded(model, reward, scenes, drawn, 0)
