@@ -4,12 +4,12 @@ import json
 import sys
 import time
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Annotated, Literal, NoReturn
 
 import msgspec
 import typer
 
+from cosim import traffic_commands
 from cosim.batch import commands as batch_commands
 from cosim.terminal import Stages, console, errors, next_command, say
 from gri.errors import InputError
@@ -55,24 +55,8 @@ def run(
     next_command(f"cosim report {folder}" if baseline else f"cosim run {scenario} --baseline idm")
 
 
-@app.command()
-def traffic(
-    scenario: Annotated[str, typer.Argument(help="Name of a shipped scenario, or path of a YAML file.")],
-    seed: Annotated[int | None, typer.Option(help="Replace the scenario's seed.")] = None,
-    duration: Annotated[float, typer.Option(min=1, help="Seconds to look at after the warm-up.")] = 600,
-) -> None:
-    """Simulate a scenario's traffic with nobody taken over, and tell how it flows."""
-    from cosim.loading import load_scenario, override
-    from cosim.worker import run_in_worker
-
-    chosen = override(load_scenario(scenario), {} if seed is None else {"seed": seed})
-    with TemporaryDirectory() as scratch, Stages() as progress:
-        log = Path(scratch, "worker.log")
-        result = run_in_worker("cosim.job:survey_job", chosen, duration, log=log, tell=progress.tell)
-    from cosim.survey import table_of
-
-    console.print(table_of(chosen, result))
-    next_command(f"cosim run {scenario}")
+for _command in (traffic_commands.traffic, traffic_commands.calibrate, traffic_commands.realism):
+    app.command()(_command)
 
 
 @app.command()

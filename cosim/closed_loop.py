@@ -184,17 +184,11 @@ def _replay(scenario: Scenario, files: Files, steps: int, task: Round, driver: D
 
 @contextmanager
 def simulation(scenario: Scenario, files: Files) -> Iterator[RunningRoad]:
-    """Start SUMO, check the scenario against its net, and set the speed limits."""
+    """Start SUMO and check the scenario against its net."""
     with sumo(arguments(scenario, str(files.net), str(files.routes), str(files.log)), files.log) as world:
         known = world.edges()
-        for what, names in (
-            ("road.edges", scenario.road.edges),
-            ("traffic.speed_limits", scenario.traffic.speed_limits),
-        ):
-            if missing := [name for name in names if name not in known]:
-                raise InputError(f"{what}: the net {files.net} has no edge {missing[0]!r}")
-        for edge, limit in scenario.traffic.speed_limits.items():
-            world.limit_speed(edge, limit)
+        if missing := [edge for edge in scenario.road.edges if edge not in known]:
+            raise InputError(f"road.edges: the net {files.net} has no edge {missing[0]!r}")
         frame = world.road(scenario.road.edges, scenario.road.origin)
         yield RunningRoad(world, frame, _merge_lanes(world, frame, scenario))
 

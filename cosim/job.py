@@ -26,7 +26,10 @@ def survey_job(scenario: Scenario, duration: float, tell: Callable[..., None]) -
     net = find_net(scenario.net)
     with tempfile.TemporaryDirectory() as scratch:
         files = Files(net, Path(scratch, "routes.rou.xml"), Path(scratch, "sumo.log"))
-        return survey(scenario, files, duration, tell)
+        try:
+            return survey(scenario, files, duration, tell)
+        except SumoError as error:
+            raise InputError(f"SUMO refused the scenario: {error}") from error
 
 
 def run_job(

@@ -98,7 +98,6 @@ class Traffic(Spec, frozen=True, kw_only=True):
     interval: Positive = 300.0
     vehicles: Annotated[tuple[VehicleClass, ...], Meta(min_length=1)]
     flows: Annotated[tuple[Flow, ...], Meta(min_length=1)]
-    speed_limits: dict[str, Positive] = {}
     bottleneck: Bottleneck | None = None
     targets: Targets | None = None
 

@@ -184,13 +184,6 @@ class Sumo:
         """Number of lanes of an edge."""
         return int(libsumo.edge.getLaneNumber(edge))
 
-    def limit_speed(self, edge: str, speed: float) -> None:
-        """Lower (or raise) the speed limit [m/s] of all lanes of an edge, or of one lane given by its id."""
-        if edge in libsumo.lane.getIDList():
-            libsumo.lane.setMaxSpeed(edge, speed)
-        else:
-            libsumo.edge.setMaxSpeed(edge, speed)
-
     def edges(self) -> frozenset[str]:
         """Ids of all edges and lanes of the net."""
         return frozenset(libsumo.edge.getIDList()) | frozenset(libsumo.lane.getIDList())

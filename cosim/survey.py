@@ -4,23 +4,21 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from rich.markup import escape
-from rich.table import Table
 
 from cosim.closed_loop import Files, Tell, simulation
 from cosim.scenario import Scenario
 from cosim.sumo import Snapshot
 from cosim.traffic import route_file
 
-KMH = 3.6  # km/h in a m/s
 TELL_EVERY = 100  # steps
 
 
 @dataclass(frozen=True)
 class Survey:
-    """Samples of the study area once a second after the warm-up, and what went wrong at any time.
+    """Samples of the study area once a second from the end of the warm-up on, and what went wrong at any time.
 
-    `samples` has a row per vehicle and second: time [s], vehicle, its length [m], lane (1 = leftmost), v [m/s].
+    `samples` has a row per vehicle and second: time [s], vehicle, its length [m], lane (1 = leftmost), x [m] from the
+    entry of the study area, v [m/s], a [m/s²] (the mean over the past step).
     """
 
     samples: pd.DataFrame
@@ -42,7 +40,7 @@ def survey(scenario: Scenario, files: Files, duration: float, tell: Tell) -> Sur
         for k in range(1, total + 1):
             report = road.world.step()
             collisions, teleports = collisions + bool(report.collisions), teleports + len(report.teleported)
-            if k > first and k % second == 0:
+            if k >= first and k % second == 0:
                 snapshot = road.world.snapshot(road.frame)
                 hardest = min(hardest, float(snapshot.a.min(initial=0.0)))
                 parts.append(_samples(snapshot, scenario.road.length, lanes))
@@ -63,47 +61,8 @@ def _samples(snapshot: Snapshot, length: float, lanes: dict[str, int]) -> pd.Dat
             "vehicle": [snapshot.ids[row] for row in rows],
             "length": snapshot.length[rows],
             "lane": [lanes[edge[row]] - int(index[row]) for row in rows],
+            "x": snapshot.s[rows],
             "v": snapshot.v[rows],
+            "a": snapshot.a[rows],
         }
-    )
-
-
-def table_of(scenario: Scenario, result: Survey) -> Table:
-    """The survey as a person reads it."""
-    samples = result.samples
-    interval = ((samples["time"] - 1e-6) // scenario.traffic.interval).astype(int)
-    rows: list[tuple[str, str]] = []
-    rows.append(("mean speed [km/h]", f"{KMH * samples['v'].mean():.1f}"))
-    per_interval = KMH * samples["v"].groupby(interval).mean()
-    rows.append(("  by demand interval", ", ".join(f"{v:.1f}" for v in per_interval)))
-    per_lane = KMH * samples.groupby("lane")["v"].mean()
-    rows.append(("  by lane, from the left", ", ".join(f"{v:.0f}" for v in per_lane)))
-    share = 100 * samples.groupby("lane").size() / len(samples)
-    rows.append(("vehicles by lane [%]", ", ".join(f"{v:.0f}" for v in share)))
-    entries = samples.groupby("vehicle").first()
-    duration = samples["time"].max() - samples["time"].min()
-    since = entries[entries["time"] > samples["time"].min()]
-    demand = _demand(scenario, float(samples["time"].min()), float(samples["time"].max()))
-    rows.append(("flow into the study area [veh/h]", f"{3600 * len(since) / duration:.0f} (demand {demand:.0f})"))
-    ramps = [flow.name for flow in scenario.traffic.flows if flow.edges[0] != scenario.road.edges[0]]
-    from_ramp = since.index.str.rpartition(".").get_level_values(0).isin(ramps)
-    rows.append(("  from the ramp [%]", f"{100 * from_ramp.mean():.1f}"))
-    rows.append(("vehicles longer than 7 m [%]", f"{100 * (since['length'] > 7).mean():.1f}"))
-    rows.append(("standing (< 0.5 m/s) [% of time]", f"{100 * (samples['v'] < 0.5).mean():.1f}"))
-    rows.append(("hardest braking [m/s²]", f"{result.hardest_braking:.1f}"))
-    rows.append(("waiting to enter at the end", str(result.waiting)))
-    rows.append(("steps with a collision / teleports", f"{result.collisions} / {result.teleports}"))
-    table = Table(title=f"Undisturbed traffic, seed {scenario.seed}, after the warm-up", title_justify="left")
-    table.show_header = False
-    for label, value in rows:
-        table.add_row(escape(label), value)
-    return table
-
-
-def _demand(scenario: Scenario, begin: float, end: float) -> float:
-    """Mean demand [veh/h] of all flows between two instants."""
-    interval = scenario.traffic.interval
-    return sum(
-        float(np.mean([flow.per_hour[min(int(t // interval), len(flow.per_hour) - 1)] for t in np.arange(begin, end)]))
-        for flow in scenario.traffic.flows
     )

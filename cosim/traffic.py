@@ -10,7 +10,7 @@ from cosim.scenario import Flow, Scenario, Traffic, VehicleClass
 
 
 def route_file(traffic: Traffic, seed: int, end: float) -> str:
-    """SUMO route file: types, routes and every vehicle until `end` [s], in order of departure.
+    """SUMO's input: types, routes, every vehicle until `end` [s] in order of departure, and the bottleneck's sign.
 
     Each demand interval gets its exact number of vehicles (the rounding error is carried over), at uniformly random
     times: a Poisson process given its counts.
@@ -28,7 +28,20 @@ def route_file(traffic: Traffic, seed: int, end: float) -> str:
         for departure in _departures(traffic, flow, np.random.default_rng(stream), end)
     ]
     lines += [text for _, text in sorted(departures)]
+    lines += _variable_speed_sign(traffic)
     return "\n".join(["<routes>", *lines, "</routes>", ""])
+
+
+def _variable_speed_sign(traffic: Traffic) -> list[str]:
+    """SUMO changes the limits by itself, so that whoever shares or replays the past shares them (doc: VSS)."""
+    if traffic.bottleneck is None:
+        return []
+    steps = (
+        f'        <step time="{k * traffic.interval:g}" speed="{limit:g}"/>'
+        for k, limit in enumerate(traffic.bottleneck.limits)
+    )
+    lanes = quoteattr(" ".join(traffic.bottleneck.lanes))
+    return [f'    <variableSpeedSign id="bottleneck" lanes={lanes}>', *steps, "    </variableSpeedSign>"]
 
 
 def _standard_normal(rng: np.random.Generator, n: int) -> np.ndarray:
@@ -106,7 +119,7 @@ def arguments(scenario: Scenario, net: str, routes: str, log: str) -> list[str]:
     """
     options = {
         "net-file": net,
-        "route-files": routes,
+        "additional-files": routes,  # route files have no place for signs
         "seed": scenario.seed,
         "step-length": f"{scenario.step:g}",
         "default.speeddev": 0,

@@ -41,7 +41,7 @@ def test_shares_and_drivers_are_as_described(routes):
     kinds = Counter(v.get("type").split(".")[0] for v in routes.iter("vehicle") if v.get("route") == "through")
     assert kinds["truck"] / kinds.total() == pytest.approx(0.03, abs=0.01)
     taus = [float(t.get("tau")) for t in routes.iter("vType") if t.get("id").startswith("car")]
-    assert sum(taus) / len(taus) == pytest.approx(1.55, abs=0.02)
+    assert sum(taus) / len(taus) == pytest.approx(1.4, abs=0.02)
     assert all(t.get("sigma") == "0.3" for t in routes.iter("vType"))
 
 
