@@ -59,6 +59,8 @@ class GroundedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     batch: int = 64
     policy_rate: float = 3e-3
     encoder_rate: float = 1e-3
+    encoder_lead: int = 0
+    """Updates of the encoder before the policy's first: graphs that are still wrong undo what a plan has taught it."""
     reconstruction: Literal["drawn", "likely"] = "drawn"
     """Whether recorded scenes are reproduced under graphs drawn from the encoder, or under its most probable ones."""
     return_batch: int = 32
@@ -200,7 +202,11 @@ def fit_encoder_and_policy(
     if settings.optima is not None:
         begun = _elsewhere(model, scenes, settings, settings.optima.scenes, generator)
         optima = optimal_scenes(model, reward, *begun, settings.optima, progress)
-    to_encoder = Descent(model.encoder.parameters(), settings.encoder_rate, settings.updates)
+    total = settings.encoder_lead + settings.updates
+    to_encoder = Descent(model.encoder.parameters(), settings.encoder_rate, total)
+    for chosen in batches(len(posterior), settings.batch, settings.encoder_lead, generator):
+        shown = _look(model, scenes[chosen], settings, generator)
+        to_encoder.step(_cross_entropy(posterior[chosen], shown))
     to_policy = Descent(model.decoder.parameters(), settings.policy_rate, settings.updates)
     for update, chosen in enumerate(batches(len(scenes), settings.batch, settings.updates, generator)):
         batch = scenes[chosen]
@@ -208,7 +214,7 @@ def fit_encoder_and_policy(
         shown = _look(model, scenes[known], settings, generator)
         with torch.no_grad():
             graph = shown if torch.equal(known, chosen) else _look(model, batch, settings, generator)
-        to_encoder.step(-(posterior[known] * shown.logits.log_softmax(-1)).sum(-1).mean())
+        to_encoder.step(_cross_entropy(posterior[known], shown))
         believed = graph.one_hot if settings.reconstruction == "likely" else graph.sample(generator).detach()
         driven = rollout(model, batch.start, believed, batch.leader)
         loss = reconstruction_loss(driven.state, batch.state, model.dynamics)
@@ -219,6 +225,10 @@ def fit_encoder_and_policy(
             away = distance(model, optima[some], settings.optima_scale)
         to_policy.step(loss + settings.return_weight * faded(update / settings.updates, settings.return_fade) * away)
         progress("encoder and policy", update + 1, settings.updates, float(loss.detach()))
+
+
+def _cross_entropy(posterior: Float[Tensor, "B E K"], shown: InteractionGraph) -> Float[Tensor, ""]:
+    return -(posterior * shown.logits.log_softmax(-1)).sum(-1).mean()
 
 
 def faded(done: float, left: float) -> float:

@@ -48,7 +48,11 @@ STEPWISE = GroundedSettings(
     shifts=Shifts(position=(0.0, 20.0), lateral=(-1.0, 1.0)),
 )
 IMITATED = msgspec.structs.replace(
-    STEPWISE, planner_updates=1, planner_batch=4, optima=OptimaSettings(scenes=8, sweeps=1, iterations=1)
+    STEPWISE,
+    encoder_lead=2,
+    planner_updates=1,
+    planner_batch=4,
+    optima=OptimaSettings(scenes=8, sweeps=1, iterations=1),
 )
 OBJECTIVES = {
     "gri": STEPWISE,
