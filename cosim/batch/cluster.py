@@ -8,7 +8,7 @@ refuses to start where its key comes out differently.
 
 import os
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Generator
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -29,7 +29,7 @@ def run_ray(
     workers: int | None = None,
     address: str | None = None,
     perform: str = PERFORM,
-) -> Iterator[Answer]:
+) -> Generator[Answer, None, None]:
     """Do the tasks of a queue, which may grow between answers; like `run_local`, on as many cores as Ray has.
 
     `workers` limits the runs under way at once, and the cores of a Ray that is started here.

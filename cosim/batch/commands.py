@@ -36,16 +36,13 @@ def batch(
     folder = out or Path("runs", "batch", path.stem)
     say(f"{len(runs)} runs; results: {folder}")
     began = time.monotonic()
-    with Runs() as progress:
-        tally = execute(
-            spec,
-            runs,
-            Store(folder),
-            _executor(executor, workers, address),
-            progress.tell,
-            file=path,
-            retry=retry_failed,
-        )
+    how = _executor(executor, workers, address)
+    try:
+        with Runs() as progress:
+            tally = execute(spec, runs, Store(folder), how, progress.tell, file=path, retry=retry_failed)
+    except KeyboardInterrupt:
+        errors.print(f"stopped; finished runs are kept, `cosim batch {file}` goes on", markup=False, soft_wrap=True)
+        raise typer.Exit(130) from None
     say(f"{tally.done} of {tally.total} finished, {tally.failed} failed, {time.monotonic() - began:.0f} s.")
     if tally.left:
         errors.print(f"{tally.left} runs are open, because nothing could be written about them", markup=False)

@@ -5,7 +5,8 @@ import platform
 import shutil
 import sys
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
@@ -19,7 +20,7 @@ from cosim.batch.store import Store
 from cosim.batch.task import Answer, Task
 from cosim.terminal import Tally
 
-Executor = Callable[[deque[Task], float], Iterator[Answer]]  # (queue, time limit [s])
+Executor = Callable[[deque[Task], float], Generator[Answer, None, None]]  # (queue, time limit [s])
 FINAL = ("input",)  # kinds of failure that a second attempt cannot mend
 
 
@@ -44,22 +45,24 @@ def execute(
         queue = deque(_task(run, store, 0) for run in runs if run.id not in done | failed)
         tell(tally)
         try:
-            for answer in executor(queue, batch.time_limit):
-                run = by_id[answer.run]
-                answer = _kept(answer, store)
-                attempts[run.id] += 1
-                if answer.kind == "done":
-                    tally = replace(tally, done=tally.done + 1)
-                else:
-                    reasons.setdefault(run.id, []).append({"kind": answer.kind, "message": answer.message})
-                    if answer.kind not in FINAL and attempts[run.id] <= batch.retries:
-                        queue.append(_task(run, store, attempts[run.id]))
+            with closing(executor(queue, batch.time_limit)) as answers:  # leaving it ends whatever is under way
+                for answer in answers:
+                    run = by_id[answer.run]
+                    answer = _kept(answer, store)
+                    attempts[run.id] += 1
+                    if answer.kind == "done":
+                        tally = replace(tally, done=tally.done + 1)
                     else:
-                        _try(lambda: store.fail(run.id, _failure(run, reasons[run.id])))  # noqa: B023
-                        tally = replace(tally, failed=tally.failed + 1)
-                _try(lambda: store.log(_entry(answer, attempts[run.id])))  # noqa: B023
-                tell(tally)
+                        reasons.setdefault(run.id, []).append({"kind": answer.kind, "message": answer.message})
+                        if answer.kind not in FINAL and attempts[run.id] <= batch.retries:
+                            queue.append(_task(run, store, attempts[run.id]))
+                        else:
+                            _try(lambda: store.fail(run.id, _failure(run, reasons[run.id])))  # noqa: B023
+                            tally = replace(tally, failed=tally.failed + 1)
+                    _try(lambda: store.log(_entry(answer, attempts[run.id])))  # noqa: B023
+                    tell(tally)
         finally:
+            store.sweep()
             _try(lambda: store.write_manifest(manifest(batch, runs, store, file)))
         return tally
 

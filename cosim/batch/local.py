@@ -24,7 +24,9 @@ PERFORM = "cosim.batch.work:perform"
 START_UP = 120.0  # [s] that a worker may take to import everything
 
 
-def run_local(queue: deque[Task], time_limit: float, *, workers: int, perform: str = PERFORM) -> Iterator[Answer]:
+def run_local(
+    queue: deque[Task], time_limit: float, *, workers: int, perform: str = PERFORM
+) -> Generator[Answer, None, None]:
     """Do the tasks of a queue, which may grow between answers, on so many workers; answers come as they are ready.
 
     A task that takes longer than `time_limit` [s] is ended. Leaving the iteration ends all workers. `perform` names

@@ -60,7 +60,7 @@ def load_batch(name: str) -> tuple[Batch, Path]:
     path = find(name, "scenarios/batch", "batch")
     content = parsed(path)
     if isinstance(content, dict):
-        for field, kind in (("policies", Driver), ("perturbations", Sweep)):
+        for field, kind in (("policies", Driver), ("perturbations", Sweep), ("variants", dict)):
             entries = content.get(field)
             for key, entry in entries.items() if isinstance(entries, dict) else ():
                 checked(entry, kind, path, under=(field, str(key)))  # msgspec does not name the keys of mappings

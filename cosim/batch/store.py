@@ -39,10 +39,14 @@ class Store:
         except OSError as error:
             raise InputError(f"cannot write to {self.folder}: {error.strerror}; give another --out") from None
         with _locked(self.folder / ".lock"):
-            for path in (self.folder / "runs").glob(f"*{PARTIAL}"):
-                shutil.rmtree(path, ignore_errors=True)
+            self.sweep()
             self._show(set(wanted))
             yield
+
+    def sweep(self) -> None:
+        """Remove what unfinished attempts left."""
+        for path in (self.folder / "runs").glob(f"*{PARTIAL}"):
+            shutil.rmtree(path, ignore_errors=True)
 
     def run_folder(self, run: str) -> Path:
         return self.folder / "runs" / run

@@ -86,7 +86,7 @@ def test_a_second_call_repeats_nothing_and_a_changed_file_only_what_changed(shor
 
 
 def test_failures_are_listed_with_their_reason_and_tried_again_on_demand(short):
-    text = SHORT.replace("episodes: 2", "episodes: 2\nvariants:\n  fine: {}\n  lost: {group: {max_gap: 2.001}}")
+    text = SHORT + "variants:\n  fine: {}\n  lost: {group: {max_gap: 2.001}}\n"
     (short / "failing.yaml").write_text(text)
     done = cosim("batch", "failing.yaml", "--workers", 2, "--out", "failing", cwd=short)
     assert done.returncode == 1

@@ -77,5 +77,5 @@ def test_intensities_keep_their_own_pairs(groups):
     first, second = figures.paired(both, "x", "y")
     assert len(first) == 4
     assert (first["intensity"].isna().to_numpy() == second["intensity"].isna().to_numpy()).all()
-    against, left = figures.paired(both, "x", figures.SUMO)
+    _, left = figures.paired(both, "x", figures.SUMO)
     assert set(left["policy"]) == {figures.SUMO}
