@@ -8,7 +8,6 @@ refuses to start where its key comes out differently.
 
 import os
 from collections import deque
-from collections.abc import Generator
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -16,7 +15,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from cosim.batch.local import PERFORM, Worker, living
-from cosim.batch.task import Answer, Task
+from cosim.batch.task import Answer, Answers, Task
 from gri.errors import InputError
 
 Parcel = tuple[Answer, dict[str, bytes]]  # an answer and the files of its run folder
@@ -29,7 +28,7 @@ def run_ray(
     workers: int | None = None,
     address: str | None = None,
     perform: str = PERFORM,
-) -> Generator[Answer, None, None]:
+) -> Answers:
     """Do the tasks of a queue, which may grow between answers; like `run_local`, on as many cores as Ray has.
 
     `workers` limits the runs under way at once, and the cores of a Ray that is started here.

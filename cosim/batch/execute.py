@@ -5,7 +5,7 @@ import platform
 import shutil
 import sys
 from collections import Counter, deque
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import replace
 from importlib.metadata import version
@@ -17,10 +17,10 @@ import msgspec
 from cosim.batch.matrix import PACKAGES, Run
 from cosim.batch.spec import Batch
 from cosim.batch.store import Store
-from cosim.batch.task import Answer, Task
+from cosim.batch.task import Answer, Answers, Task
 from cosim.terminal import Tally
 
-Executor = Callable[[deque[Task], float], Generator[Answer, None, None]]  # (queue, time limit [s])
+Executor = Callable[[deque[Task], float], Answers]  # (queue, time limit [s])
 FINAL = ("input",)  # kinds of failure that a second attempt cannot mend
 
 

@@ -9,7 +9,7 @@ import os
 import signal
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from importlib import import_module
@@ -17,16 +17,14 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 
-from cosim.batch.task import Answer, Task, last_words
+from cosim.batch.task import Answer, Answers, Task, last_words
 from cosim.branch import CAN_FORK, Branch, BranchError, fork
 
 PERFORM = "cosim.batch.work:perform"
 START_UP = 120.0  # [s] that a worker may take to import everything
 
 
-def run_local(
-    queue: deque[Task], time_limit: float, *, workers: int, perform: str = PERFORM
-) -> Generator[Answer, None, None]:
+def run_local(queue: deque[Task], time_limit: float, *, workers: int, perform: str = PERFORM) -> Answers:
     """Do the tasks of a queue, which may grow between answers, on so many workers; answers come as they are ready.
 
     A task that takes longer than `time_limit` [s] is ended. Leaving the iteration ends all workers. `perform` names

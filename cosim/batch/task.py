@@ -1,6 +1,6 @@
 """What is asked of a worker and what it answers; light to import."""
 
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -31,6 +31,9 @@ class Answer:
     message: str = ""
     seconds: float = 0.0
     peak_mb: float = 0.0  # resident memory of the process of the run
+
+
+Answers = Generator[Answer, None, None]  # closing it ends whatever is under way
 
 
 def last_words(folder: Path) -> str:
