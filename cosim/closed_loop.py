@@ -16,7 +16,10 @@ from cosim.branch import CAN_FORK, fork
 from cosim.driving import Driver, drive
 from cosim.episode import INTERRUPTED, Episode
 from cosim.frames import RoadFrame
-from cosim.groups import MergeLanes, select, target_lane
+from cosim.groups import Group, MergeLanes, select, target_lane
+from cosim.intervention import prepare
+from cosim.perturb.demand import perturbed_traffic
+from cosim.perturb.start import Infeasible
 from cosim.record import Round
 from cosim.scenario import Merge, Scenario
 from cosim.sumo import Snapshot, Sumo, sumo
@@ -43,6 +46,7 @@ class Outcome:
 
     episodes: tuple[Episode, ...]
     left_to_sumo: tuple[Episode, ...]
+    excluded: tuple[tuple[Group, Infeasible], ...]  # whose perturbed start is infeasible
     simulated: float  # [s] of simulated time
     teleports: int  # of any vehicle in the trunk
     collisions: int  # steps with a collision in SUMO's list, in the trunk
@@ -69,25 +73,32 @@ def run(
 
     Episodes that something else ended (INTERRUPTED) are kept but do not count. With `driver=None` nobody is driven:
     the null run. Without `forking` every branch replays the past from t = 0 in a process of its own; the results are
-    the same.
+    the same. Perturbations of the traffic concern everybody, all others the branch only: what is left to SUMO in the
+    trunk is undisturbed, and with `driver=None` SUMO drives the perturbed groups, too, in a branch.
     """
     end = scenario.traffic.warm_up + scenario.time_limit
-    files.routes.write_text(route_file(scenario.traffic, scenario.seed, end))
+    files.routes.write_text(route_file(perturbed_traffic(scenario).traffic, scenario.seed, end))
     driven: list[Episode] = []
     left: list[Episode] = []
+    excluded: list[tuple[Group, Infeasible]] = []
+    nothing_done = driver is None and not scenario.perturbations
     with simulation(scenario, files) as road:
         trunk = Trunk(road, scenario)
         trunk.warm_up(tell)
-        while (count := _counted(driven if driver else left)) < scenario.episodes and trunk.time < end:
+        while (count := _counted(left if nothing_done else driven)) < scenario.episodes and trunk.time < end:
             tell("episodes", count, scenario.episodes)
             history = trunk.look()
             task = trunk.find(history, limit=scenario.episodes - count)
+            intervention = prepare(scenario, history[-1], task) if scenario.perturbations else None
+            if intervention is not None:
+                task = intervention.task
+                excluded += intervention.excluded
             if not task.groups:
                 continue
-            if driver is None:
+            if nothing_done:
                 left += trunk.leave(history, task)
             elif forking:
-                branch = fork(lambda: drive(road.world, road.frame, history, task, driver))  # noqa: B023
+                branch = fork(lambda: drive(road.world, road.frame, history, task, driver, intervention))  # noqa: B023
                 left += trunk.leave(history, task)
                 driven += branch.result()
             else:
@@ -97,8 +108,9 @@ def run(
                     driven += replay.result()
         tell("episodes", min(count, scenario.episodes), scenario.episodes)
         return Outcome(
-            tuple(left if driver is None else driven),
+            tuple(left if nothing_done else driven),
             tuple(left),
+            tuple(excluded),
             trunk.time,
             trunk.teleports,
             trunk.collisions,
@@ -169,7 +181,7 @@ class Trunk:
         return episodes
 
 
-def _replay(scenario: Scenario, files: Files, steps: int, task: Round, driver: Driver) -> list[Episode]:
+def _replay(scenario: Scenario, files: Files, steps: int, task: Round, driver: Driver | None) -> list[Episode]:
     """Drive a round that begins after so many steps, in a simulation of its own."""
     watched = scenario.steps(scenario.history)
     with simulation(scenario, files) as road:
@@ -179,7 +191,8 @@ def _replay(scenario: Scenario, files: Files, steps: int, task: Round, driver: D
         for _ in range(watched):
             road.world.step()
             history.append(road.world.snapshot(road.frame))
-        return drive(road.world, road.frame, history, task, driver)
+        intervention = prepare(scenario, history[-1], task) if scenario.perturbations else None
+        return drive(road.world, road.frame, history, task, driver, intervention)
 
 
 @contextmanager

@@ -16,6 +16,7 @@ from cosim.belief import overruled
 from cosim.episode import Episode
 from cosim.frames import RoadFrame
 from cosim.groups import order_of
+from cosim.intervention import Intervention
 from cosim.layouts import Pose, layout_of
 from cosim.pilot import Pilot
 from cosim.record import Record, Round, hard_braking
@@ -37,28 +38,44 @@ class Driver:
 
 
 def drive(
-    world: Sumo, road: RoadFrame, history: Sequence[Snapshot], task: Round, driver: Driver | None
+    world: Sumo,
+    road: RoadFrame,
+    history: Sequence[Snapshot],
+    task: Round,
+    driver: Driver | None,
+    intervention: Intervention | None = None,
 ) -> list[Episode]:
-    """Drive (or only watch) the groups from the last snapshot of the history on; one Episode per group."""
+    """Drive (or only watch) the groups from the last snapshot of the history on; one Episode per group.
+
+    An intervention happens between that snapshot and the first step, after the policy has inferred its graph; the
+    `task` is then the intervention's own.
+    """
     frames, now = [Frame.of(snapshot, task.groups) for snapshot in history], history[-1]
     assert frames[-1].valid.all(), "a group was selected with a vehicle that is not there"
     length, width = now.length[frames[-1].rows], now.width[frames[-1].rows]
     record = Record(task, width)
-    pilot = None
+    pilot, roles = None, () if driver is None else task.owned
     if driver is not None:
         layout = layout_of(task.rule, road, frames[-1].state, length)
-        overrule = partial(overruled, source=driver.graph, rule=task.rule)
-        pilot = Pilot(driver.policy, layout, frames, task.owned, task.dt, overrule, driver.reinfer)
+        overrule = partial(overruled, source=driver.graph, rule=task.rule, third=task.third)
+        signals = None if intervention is None else intervention.signals(layout, frames)
+        pilot = Pilot(driver.policy, layout, frames, task.owned, task.dt, overrule, driver.reinfer, signals)
         record.take_over(world, now.time)
+    if intervention is not None:
+        intervention.begin(world, roles)
+        if pilot is not None:
+            pilot.place(intervention.displace(frames[-1]))
     k = ended = 0
     while k < ended + task.watched or record.active:
         active, pose = record.active, None
         if pilot is not None and active:
             pose = pilot.decide(now.time)
             _command(world, road, task, active, pose, now)
+        if intervention is not None:
+            intervention.command(world, road, k, roles, now)
         report = world.step()
-        now = world.snapshot(road, around=task.vehicles)
-        frame = Frame.of(now, task.groups)
+        now = world.snapshot(road, around=task.vehicles if intervention is None else intervention.vehicles)
+        frame = Frame.of(now, task.groups) if intervention is None else intervention.see(now, road)
         if pilot is not None and pose is not None:
             record.verify(frame, pose)
             frame = pilot.stamp(frame, active)
@@ -67,7 +84,7 @@ def drive(
         ended = k if active else ended
         if pilot is not None:
             record.hand_back(world, frame, ended=set(active) - set(record.active))
-            pilot.observe(frame, record.active)
+            pilot.observe(frame if intervention is None else intervention.show(frame, now), record.active)
         frames.append(frame.carried_on(frames[-1]))
     return [
         Episode(

@@ -13,11 +13,15 @@ State = Float[np.ndarray, "3 C"]
 Rows = Int[np.ndarray, " 3"]
 
 
-def car_following(before: State, now: State, snapshot: Snapshot, rows: Rows) -> Ending | None:
-    """All three keep their lane and nobody comes between them, or else the group is broken up."""
+def car_following(before: State, now: State, snapshot: Snapshot, rows: Rows, third: bool = True) -> Ending | None:
+    """All three keep their lane and nobody comes between them, or else the group is broken up.
+
+    Without a `third` vehicle it is about the first two.
+    """
     if (np.abs(now[:, _D] - before[:, _D]) > SAME_LANE).any():
         return Ending.LANE_LEFT
-    return None if (next_ahead(snapshot, rows[:2]) == rows[1:]).all() else Ending.CUT_IN
+    behind, ahead = (rows[:2], rows[1:]) if third else (rows[:1], rows[1:2])
+    return None if (next_ahead(snapshot, behind) == ahead).all() else Ending.CUT_IN
 
 
 def merging(

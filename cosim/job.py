@@ -1,6 +1,7 @@
 """One run from a scenario to a run folder; what `cosim run` does in its worker process."""
 
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from cosim import results
 from cosim.closed_loop import Files, run
 from cosim.groups import expected_graph
 from cosim.inputs import find_net, input_files, sha256
+from cosim.perturb.demand import perturbed_traffic
 from cosim.policies import driver_of
 from cosim.report import picture
 from cosim.scenario import Scenario, tag_of
@@ -27,7 +29,7 @@ def survey_job(scenario: Scenario, duration: float, tell: Callable[..., None]) -
     with tempfile.TemporaryDirectory() as scratch:
         files = Files(net, Path(scratch, "routes.rou.xml"), Path(scratch, "sumo.log"))
         try:
-            return survey(scenario, files, duration, tell)
+            return survey(perturbed_traffic(scenario), files, duration, tell)
         except SumoError as error:
             raise InputError(f"SUMO refused the scenario: {error}") from error
 
@@ -73,6 +75,7 @@ def run_job(
         "episodes": scenario.episodes,
         "sumo_arguments": arguments(scenario, inputs["net"].name, "routes.rou.xml", "sumo.log"),
         "simulated_seconds": outcome.simulated,
+        "infeasible_starts": dict(Counter(reason.value for _, reason in outcome.excluded)),
         "trunk_collision_steps": outcome.collisions,
         "trunk_teleports": outcome.teleports,
         "routes_sha256": routes,

@@ -40,8 +40,8 @@ class Track:
 
     def __getitem__(self, rows: Bool[np.ndarray, " T"] | slice) -> "Track":
         """The same vehicle at some of the instants."""
-        columns = (self.time, self.s, self.d, self.v, self.a, self.xy, self.heading)
-        return Track(*(column[rows] for column in columns), self.length, self.width)
+        time, s, d, v, a, heading = (x[rows] for x in (self.time, self.s, self.d, self.v, self.a, self.heading))
+        return Track(time, s, d, v, a, self.xy[rows], heading, self.length, self.width)
 
 
 def behind(follower: Track, leader: Track) -> Bool[np.ndarray, " T"]:
@@ -81,6 +81,8 @@ def pet(second: Track, first: Track) -> float:
     interpolated to PET_PARTS parts of a step; +inf if the second never drives where the first was. In car following
     that is the net time gap that was really kept, at a crossing the time between one leaving it and the other coming.
     """
+    if (second.s - second.length > first.s + first.width).all() and (np.diff(second.s) >= 0).all():
+        return np.inf  # it was ahead all the time
     early, late = _fine(first), _fine(second)
     count = len(early.xy)
     for lag in range(0, count, PET_PARTS):

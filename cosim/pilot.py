@@ -11,6 +11,7 @@ from torch import Tensor
 
 from cosim.episode import COLUMNS
 from cosim.layouts import Layout, Pose
+from cosim.perturb.signals import Signals
 from cosim.seen import Frame
 from gri.graph import InteractionGraph
 from gri.policy import Policy, PolicyState
@@ -23,7 +24,7 @@ class Pilot:
     """The model-frame state of all groups of a round and the policy's memory of them.
 
     `owned` are the roles that it drives, `reinfer` [steps] how often it infers the graph anew (0: never again),
-    `overrule` what is made of the inferred graph before it counts.
+    `overrule` what is made of the inferred graph before it counts, `signals` what lies between it and the world.
     """
 
     def __init__(
@@ -35,10 +36,11 @@ class Pilot:
         dt: float,
         overrule: Overrule,
         reinfer: int = 0,
+        signals: Signals | None = None,
     ) -> None:
         assert policy.dynamics.name is layout.dynamics.name, f"cannot drive {policy.dynamics.name} states here"
         self._policy, self._layout, self._dt = policy, layout, dt
-        self._owned, self._overrule, self._reinfer = list(owned), overrule, reinfer
+        self._owned, self._overrule, self._reinfer, self._signals = list(owned), overrule, reinfer, signals
         self._window = deque((layout.states(frame.state) for frame in history), policy.history_steps)
         self._state = self._commanded = self._window[-1]
         self._steps = 0
@@ -57,14 +59,25 @@ class Pilot:
         if self._memory.graph is not None:
             self.graphs.append((time, self._memory.graph))
 
+    def place(self, frame: Frame) -> None:
+        """Put the vehicles where they are in this frame, whatever the policy saw of them before."""
+        self._state = self._commanded = self._layout.states(frame.state)
+
     def decide(self, time: float) -> Pose:
         """Ask the policy and move the dynamics one step on: where the vehicles are to be after the next step."""
+        seen = self._state if self._signals is None else self._signals.see(self._steps, self._state)
+        if self._reinfer and self._steps:
+            self._window.append(seen)
         if self._reinfer and self._steps and self._steps % self._reinfer == 0:
             self._memory = replace(self._memory, graph=self._begin().graph)
             self._note(time)
         with torch.inference_mode():
-            action, self._memory = self._policy.act(self._memory, _relative(self._state))
+            action, self._memory = self._policy.act(self._memory, _relative(seen))
+            if self._signals is not None:
+                action = self._signals.apply(self._steps, action)
             following = self._policy.dynamics.step(self._state, action.double(), self._dt)
+            if self._signals is not None:
+                following = self._signals.bound(following)
             stop = self._policy.dynamics.stop
             self._commanded = following if stop is None else stop(self._state, following)
         self._steps += 1
@@ -76,8 +89,6 @@ class Pilot:
         driven = np.ix_(np.array(active, dtype=int), np.array(self._owned))
         state[driven] = self._commanded[driven]
         self._state = state
-        if self._reinfer:
-            self._window.append(state)
 
     def stamp(self, frame: Frame, active: Sequence[int]) -> Frame:
         """The frame with the dynamics' acceleration of owned vehicles; SUMO reports the past step's mean instead."""

@@ -23,7 +23,7 @@ HARD_BRAKING = 4.5  # [m/s^2]
 class Round:
     """Several groups that are taken at the same instant, and how long they are driven and watched (in steps).
 
-    `owned` are the roles that are driven, `lanes` where a merge takes place.
+    `owned` are the roles that are driven, `lanes` where a merge takes place, `third` whether there is a vehicle 2.
     """
 
     groups: tuple[Group, ...]
@@ -33,6 +33,7 @@ class Round:
     watched: int
     dt: float
     lanes: MergeLanes | None = None
+    third: bool = True
 
     @property
     def vehicles(self) -> list[str]:
@@ -110,9 +111,10 @@ class Record:
             return Ending.LOST
         if not all(snapshot.lane[frame.rows[g, role]] for role in self._task.owned):
             return Ending.OFF_ROAD
-        seen = before.state[g], frame.state[g], snapshot, frame.rows[g]
+        rows = frame.rows[g] if self._task.third else frame.rows[g][[0, 1, 1]]  # nobody comes between 1 and 1
+        seen = before.state[g], frame.state[g], snapshot, rows
         if not isinstance(self._task.rule, Merge):
-            return endings.car_following(*seen)
+            return endings.car_following(*seen, self._task.third)
         assert self._task.lanes is not None, "a merge takes place between two lanes"
         ending = endings.merging(*seen, self._task.lanes, float(self._width[g, 0]), self._task.dt)
         if ending is not Ending.MERGED:

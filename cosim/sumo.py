@@ -169,6 +169,10 @@ class Sumo:
             self._twins.discard(vehicle)
             libsumo.vehicle.remove(_TWIN + vehicle)
 
+    def remove(self, vehicle: str) -> None:
+        """Take a vehicle out of the simulation, for good and at once."""
+        libsumo.vehicle.remove(vehicle)
+
     def release(self, vehicle: str) -> None:
         """Hand a vehicle back: SUMO's own speed control and the modes it had before."""
         speed_mode, lane_change_mode = self._modes.pop(vehicle)

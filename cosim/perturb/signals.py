@@ -138,7 +138,7 @@ def _dropping(spec: Dropout, setting: Setting) -> Filter:
 
 def _delaying(past: Sequence[Tensor], steps: int) -> Filter:
     """What came `steps` ago; before the first step came `past`, whose first value lasts for ever."""
-    earlier = [past[0]] * max(steps - len(past), 0)
+    earlier = [*past[:1]] * max(steps - len(past), 0)
     waiting = deque([*earlier, *past[max(len(past) - steps, 0) :]])
 
     def delay(step: int, value: Tensor) -> Tensor:

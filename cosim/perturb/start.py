@@ -75,7 +75,7 @@ def displaced(group: Cars, perturbations: Sequence[Perturbation], rule: Rule) ->
 def _shift(s: Float[np.ndarray, " 3"], pair: tuple[int, int], ratio: float) -> None:
     """Δx' = (1 − δ)·Δx."""
     follower, leader = pair
-    s[follower] = s[leader] - (1 - ratio) * (s[leader] - s[follower])
+    s[follower] += ratio * (s[leader] - s[follower])
 
 
 def verdict(
