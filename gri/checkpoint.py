@@ -14,7 +14,7 @@ from torch import Tensor
 from gri.errors import InputError
 from gri.graph import FOLLOWING
 from gri.model import ModelConfig, RelationalModel
-from gri.rewards import LaneRewardConfig, RewardConfig, StructuredReward
+from gri.rewards import LaneRewardConfig, NaturalisticConfig, RewardConfig, StructuredReward
 
 FORMAT = "gri-checkpoint"
 VERSION = 1
@@ -83,6 +83,8 @@ def load_reward(path: Path | str) -> StructuredReward | None:
     if not content["reward_config"]:
         return None
     kind = RewardConfig if tuple(content["vocabulary"]) == FOLLOWING else LaneRewardConfig
+    if "type" in msgspec.json.decode(content["reward_config"]):
+        kind = NaturalisticConfig
     reward = StructuredReward(_decoded(content["reward_config"], kind, path))
     reward.load_state_dict(content["reward_tensors"])
     return reward.requires_grad_(False).eval()

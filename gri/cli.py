@@ -77,7 +77,7 @@ def evaluate_command(
 
 @app.command(name="reproduce")
 def reproduce_command(
-    target: Annotated[str, typer.Argument(help=f"One of {', '.join(TABLES)}.")],
+    target: Annotated[str, typer.Argument(help=f"One of {', '.join([*TABLES, 'table2'])}.")],
     seeds: Annotated[int, typer.Option(help="Seeds per row.")] = 5,
     test: Annotated[int, typer.Option("--scenes", help="Test scenes.")] = 1000,
     out: Annotated[Path, typer.Option(help="Folder for tables and figures.")] = Path("runs/reproduce"),
@@ -86,13 +86,19 @@ def reproduce_command(
     scenario: Annotated[str | None, typer.Option(help="Only this scenario.")] = None,
     row: Annotated[list[str] | None, typer.Option(help="Only this row; may be given several times.")] = None,
     processes: Annotated[int, typer.Option(help="Trainings at a time, one thread each.")] = 2,
+    ngsim: Annotated[
+        Path | None, typer.Option(help="For table2: a folder of NGSIM files, or a scene file cut from them.")
+    ] = None,
     quick: Annotated[bool, typer.Option(help="Few scenes and updates: shows that all runs, no more.")] = False,
 ) -> None:
     """4. Train what a table or figure of the paper needs, and write it beside the printed figures."""
     from gri.publish import publish  # brings pandas and matplotlib, which the other commands need not wait for
 
+    if target == "table2":
+        _reproduce_table2(ngsim, seeds, out, cache, tuple(row or ()))
+        return
     if target not in TABLES:
-        raise InputError(f"got {target}, wanted one of {', '.join(TABLES)}")
+        raise InputError(f"got {target}, wanted one of {', '.join([*TABLES, 'table2'])}")
     plan = Plan(target, seeds, test, out, cache, scenes, scenario, tuple(row or ()), quick, processes)  # type: ignore[arg-type]
     try:
         with Bar() as progress:
@@ -104,6 +110,18 @@ def reproduce_command(
         console.print(str(path), soft_wrap=True)
     following = {"table1": "gri reproduce table3", "table3": "gri reproduce ood", "ood": "gri reproduce figures"}
     next_command(following.get(target, "cosim --help"))
+
+
+def _reproduce_table2(ngsim: Path | None, seeds: int, out: Path, cache: Path, rows: tuple[str, ...]) -> None:
+    from gri.table2_report import publish  # brings matplotlib
+
+    if ngsim is None:
+        raise InputError("table2 needs recorded data: give --ngsim FOLDER with NGSIM files, or a scene file")
+    with Bar() as progress:
+        written = publish("ngsim_car_following", ngsim, seeds, out, cache, rows, progress)
+    for path in written:
+        console.print(str(path), soft_wrap=True)
+    next_command("gri reproduce figures")
 
 
 def _read(config: str) -> TrainConfig:

@@ -103,7 +103,7 @@ def edge_frequencies(scenario: rows.Scenario, mine: Sequence[Job], cache: Path) 
     figure, axes = plt.subplots(len(kinds), len(found), figsize=size, squeeze=False)
     for column, (name, matrices) in zip(axes.T, found.items(), strict=True):
         for axis, kind, matrix in zip(column, kinds, np.mean(matrices, 0), strict=True):
-            _matrix(axis, matrix, f"{name}\n{kind}")
+            frequency_matrix(axis, matrix, f"{name}\n{kind}")
     figure.suptitle(f"{scenario.title}: share of test scenes with the type", fontsize=9)
     figure.tight_layout(h_pad=1.5)
     return figure
@@ -117,7 +117,8 @@ def _true_frequency(job: Job) -> np.ndarray:
     return torch.einsum("g,gkij->kij", weights / weights.sum(), torch.stack(parts)).numpy()
 
 
-def _matrix(axis: Axes, matrix: np.ndarray, title: str) -> None:
+def frequency_matrix(axis: Axes, matrix: np.ndarray, title: str) -> None:
+    """Draw A[receiver, sender] with its values."""
     shown = np.ma.masked_array(matrix, np.eye(len(matrix), dtype=bool))
     axis.imshow(shown, vmin=0, vmax=1, cmap="Blues")
     for i, j in np.argwhere(~np.eye(len(matrix), dtype=bool)):

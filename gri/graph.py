@@ -24,6 +24,8 @@ class EdgeType(StrEnum):
 
 Vocabulary = tuple[EdgeType, ...]
 FOLLOWING: Vocabulary = (EdgeType.NONE, EdgeType.FOLLOW)
+YIELDING: Vocabulary = (EdgeType.NONE, EdgeType.FOLLOW, EdgeType.YIELD)
+"""Lane changes in recorded traffic: without cutting in, as the paper has it (Sec. VI-D)."""
 LANE_CHANGING: Vocabulary = (EdgeType.NONE, EdgeType.FOLLOW, EdgeType.YIELD, EdgeType.CUT_IN)
 
 

@@ -16,10 +16,12 @@ from gri.graph import EdgeType, agents_of
 from gri.network_reward import NetworkReward
 from gri.neural import edge_ends, incidence, mlp
 from gri.scale import Scale
+from gri.terms import AnyRewardConfig as AnyRewardConfig
 from gri.terms import LaneRewardConfig as LaneRewardConfig
+from gri.terms import NaturalisticConfig as NaturalisticConfig
 from gri.terms import RewardConfig as RewardConfig
 from gri.terms import Units as Units
-from gri.terms import terms_of
+from gri.terms import references_of, terms_of
 
 
 class StructuredReward(nn.Module):
@@ -27,18 +29,17 @@ class StructuredReward(nn.Module):
     alone.
     """
 
-    def __init__(self, config: RewardConfig | LaneRewardConfig) -> None:
+    def __init__(self, config: AnyRewardConfig) -> None:
         super().__init__()
         self.config = config
-        self.terms, self.vocabulary = terms_of(config)
+        self.references = references_of(config)
+        self.terms, self.vocabulary = terms_of(config, self.references)
         sizes = {"node": len(self.terms.node)} | {str(k): len(terms) for k, terms in self.terms.edge.items()}
         self.psi = nn.ParameterDict({name: nn.Parameter(torch.zeros(size)) for name, size in sizes.items()})
         self.log_alpha = nn.Parameter(torch.zeros(()))
 
     @classmethod
-    def with_weights(
-        cls, config: RewardConfig | LaneRewardConfig, weights: Mapping[str, Mapping[str, float]]
-    ) -> "StructuredReward":
+    def with_weights(cls, config: AnyRewardConfig, weights: Mapping[str, Mapping[str, float]]) -> "StructuredReward":
         """The reward with given weights 1 + e^ψ, each above 1."""
         reward = cls(config)
         for group, values in weights.items():

@@ -58,16 +58,22 @@ def expand_steps(
     reward: StructuredReward,
     state: Float[Tensor, "B N T D"],
     action: Float[Tensor, "B R T-1 A"],
+    learn: bool = False,
 ) -> StepExpansion:
-    """Expansion of the features around recorded trajectories; `model` lends its dynamics."""
-    vehicles = [_expand_vehicle(reward, state[:, :, :-1], action[:, j], j) for j in range(action.shape[1])]
+    """Expansion of the features around recorded trajectories; `model` lends its dynamics.
+
+    `learn`: differentiable in what the features learn, for rewards with reference networks.
+    """
+    vehicles = [_expand_vehicle(reward, state[:, :, :-1], action[:, j], j, learn) for j in range(action.shape[1])]
     gradient, residual = (torch.stack(parts, 1) for parts in zip(*vehicles, strict=True))
     driven = state[:, : action.shape[1], :-1]
     over = vmap(vmap(vmap(jacrev(model.step, argnums=(0, 1)))))
     return StepExpansion(gradient, residual, torch.cat(over(driven, action), -1))
 
 
-def _expand_vehicle(reward: StructuredReward, state: Tensor, action: Tensor, j: int) -> tuple[Tensor, Tensor]:
+def _expand_vehicle(
+    reward: StructuredReward, state: Tensor, action: Tensor, j: int, learn: bool
+) -> tuple[Tensor, Tensor]:
     size = state.shape[-1]
 
     def alone(point: Tensor) -> Tensor:
@@ -79,34 +85,38 @@ def _expand_vehicle(reward: StructuredReward, state: Tensor, action: Tensor, j: 
         )
 
     own = torch.cat([state[:, j], action], -1)
-    parts = [derivatives(alone, own)]
-    parts += [derivatives(towards(state[:, i]), own) for i in range(state.shape[1]) if i != j]
+    parts = [derivatives(alone, own, learn)]
+    parts += [derivatives(towards(state[:, i]), own, learn) for i in range(state.shape[1]) if i != j]
     return torch.cat([first for first, _ in parts], 2), torch.cat([second for _, second in parts], 2)
 
 
 def derivatives(
-    features: Callable[[Tensor], Tensor], point: Float[Tensor, "*batch P"]
+    features: Callable[[Tensor], Tensor], point: Float[Tensor, "*batch P"], learn: bool = False
 ) -> tuple[Float[Tensor, "*batch M P"], Float[Tensor, "*batch M P"]]:
     """∇f, and ∇r = ∇f / 2√f, of functions f = r² that act on every point by itself.
 
     Where f is 0, so is ∇f, whatever ∇r is; therefore ∇r is read at a point a hair's breadth away.
     """
-    slope = _slopes(features, point)[1]
-    value, near = _slopes(features, point + _HAIR)
-    return slope, near / (2 * value.clamp(min=1e-30).sqrt())[..., None]
+    slope = _slopes(features, point, learn)[1]
+    value, near = _slopes(features, point + _HAIR, learn)
+    least = _LEAST if learn else 1e-30
+    return slope, near / (2 * value.clamp(min=least).sqrt())[..., None]
 
 
 _HAIR = 1e-3
+_LEAST = 1e-8  # of a feature whose root is differentiated
 
 
 @torch.enable_grad()
 def _slopes(
-    features: Callable[[Tensor], Tensor], point: Float[Tensor, "*batch P"]
+    features: Callable[[Tensor], Tensor], point: Float[Tensor, "*batch P"], learn: bool
 ) -> tuple[Float[Tensor, "*batch M"], Float[Tensor, "*batch M P"]]:
     point = point.detach().requires_grad_(True)
     values = features(point)
-    slopes = [torch.autograd.grad(value.sum(), point, retain_graph=True)[0] for value in values.unbind(-1)]
-    return values.detach(), torch.stack(slopes, -2)
+    slopes = [
+        torch.autograd.grad(value.sum(), point, retain_graph=True, create_graph=learn)[0] for value in values.unbind(-1)
+    ]
+    return values if learn else values.detach(), torch.stack(slopes, -2)
 
 
 def log_likelihood_by_steps(reward: StructuredReward, expansion: StepExpansion) -> Float[Tensor, "B R C"]:
@@ -150,8 +160,10 @@ def _product(left: Float[Tensor, "*batch I K"], right: Float[Tensor, "*batch K J
     return torch.stack(parts).sum(0)
 
 
-def _inverse(matrix: Float[Tensor, "*batch 2 2"]) -> tuple[Float[Tensor, "*batch 2 2"], Float[Tensor, "*batch"]]:
-    """Inverse and log-determinant of positive definite 2 × 2 matrices."""
+def _inverse(matrix: Float[Tensor, "*batch A A"]) -> tuple[Float[Tensor, "*batch A A"], Float[Tensor, "*batch"]]:
+    """Inverse and log-determinant of positive definite 1 × 1 or 2 × 2 matrices."""
+    if matrix.shape[-1] == 1:
+        return 1 / matrix, matrix[..., 0, 0].log()
     a, b, d = matrix[..., 0, 0], matrix[..., 0, 1], matrix[..., 1, 1]
     determinant = a * d - b * b
     adjugate = torch.stack([torch.stack([d, -b], -1), torch.stack([-b, a], -1)], -2)

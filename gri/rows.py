@@ -138,10 +138,12 @@ class Printed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Paper(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The printed rows of the two synthetic scenarios."""
+    """The printed rows of the two synthetic scenarios and of the two recorded ones."""
 
     car_following: dict[str, Printed]
     lane_changing: dict[str, Printed]
+    ngsim_car_following: dict[str, Printed]
+    ngsim_lane_changing: dict[str, Printed]
 
 
 @cache

@@ -9,8 +9,9 @@ from torch import Tensor
 from gri import features
 from gri import lane_features as lane
 from gri.features import FollowingConstants
-from gri.graph import FOLLOWING, LANE_CHANGING, EdgeType, Vocabulary
+from gri.graph import FOLLOWING, LANE_CHANGING, YIELDING, EdgeType, Vocabulary
 from gri.lane_features import LaneConstants
+from gri.naturalistic import ReferenceNetworks, References, collision_point, g_spatial, g_time
 
 NodeTerm = Callable[[Tensor, Tensor], Tensor]  # (state, action) of one vehicle
 EdgeTerm = Callable[[Tensor, Tensor], Tensor]  # states of sender and receiver
@@ -113,9 +114,81 @@ def lane_changing_terms(config: LaneRewardConfig) -> Terms:
     )
 
 
-def terms_of(config: RewardConfig | LaneRewardConfig) -> tuple[Terms, Vocabulary]:
+class NaturalisticConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="naturalistic"):
+    """The rewards of recorded traffic, whose references are learned (Sec. VI-D)."""
+
+    lanes: bool = False
+    """Lane changing of 2-D point masses, with yielding; else car following."""
+    references: References = References()
+    units: Units = Units(gap=5.0, speed=2.0)
+    lateral: float = 1.0  # [m]
+    lateral_speed: float = 0.5  # [m/s]
+    time: float = 1.0  # [s]
+    temperature: float = 1.0
+
+
+AnyRewardConfig = RewardConfig | LaneRewardConfig | NaturalisticConfig
+
+
+def naturalistic_terms(config: NaturalisticConfig, h: ReferenceNetworks) -> Terms:
+    """r^n: f_v, a², jerk²; follow: g_v, g_s. With lanes also: the target lane at y = 0, lateral speed, acceleration and
+    jerk squared; yield: g_spatial, g_time.
+    """
+    units = config.units
+    v, a = (2, 4) if config.lanes else (1, 2)  # in the states of the 2-D and the 1-D point mass
+
+    def g_v(sender: Tensor, receiver: Tensor) -> Tensor:
+        wanted = h.speed(sender[..., 0] - receiver[..., 0], sender[..., v])
+        return ((receiver[..., v] - wanted) / units.speed) ** 2
+
+    def g_s(sender: Tensor, receiver: Tensor) -> Tensor:
+        wanted = h.headway(sender[..., v], receiver[..., v])
+        return ((wanted - sender[..., 0] + receiver[..., 0]).clamp(min=0) / units.gap) ** 2
+
+    node: dict[str, NodeTerm] = {
+        "speed": lambda state, action: ((state[..., v] - h.own_speed()) / units.speed) ** 2,
+        "acceleration": lambda state, action: (state[..., a] / units.acceleration) ** 2,
+        "jerk": lambda state, action: (action[..., 0] / units.jerk) ** 2,
+    }
+    edge: dict[EdgeType, dict[str, EdgeTerm]] = {EdgeType.FOLLOW: {"speed": g_v, "headway": g_s}}
+    if config.lanes:
+        node |= {
+            "lane": lambda state, action: (state[..., 1] / config.lateral) ** 2,
+            "lateral_speed": lambda state, action: (state[..., 3] / config.lateral_speed) ** 2,
+            "lateral_acceleration": lambda state, action: (state[..., 5] / units.acceleration) ** 2,
+            "lateral_jerk": lambda state, action: (action[..., 1] / units.jerk) ** 2,
+        }
+        edge[EdgeType.YIELD] = _yield_terms(config, h)
+    return Terms(node=node, edge=edge)
+
+
+def _yield_terms(config: NaturalisticConfig, h: ReferenceNetworks) -> dict[str, EdgeTerm]:
+    c = config.references
+
+    def spatial(sender: Tensor, receiver: Tensor) -> Tensor:
+        point, counts = collision_point(sender[..., :4], receiver[..., :4], c.collision_range)
+        wanted = h.distance(sender[..., 2], receiver[..., 2])
+        return g_spatial(point, counts, receiver[..., :4], wanted, c.printed_yield) / config.units.gap**2
+
+    def time(sender: Tensor, receiver: Tensor) -> Tensor:
+        point, counts = collision_point(sender[..., :4], receiver[..., :4], c.collision_range)
+        wanted = h.time(sender[..., 2], receiver[..., 2])
+        return g_time(point, counts, sender[..., :4], receiver[..., :4], wanted, c) / config.time**2
+
+    return {"spatial": spatial, "time": time}
+
+
+def references_of(config: AnyRewardConfig) -> ReferenceNetworks | None:
+    """The networks that are learned with the weights; None where all terms are fixed."""
+    return ReferenceNetworks(config.references, config.lanes) if isinstance(config, NaturalisticConfig) else None
+
+
+def terms_of(config: AnyRewardConfig, references: ReferenceNetworks | None = None) -> tuple[Terms, Vocabulary]:
     """The terms of a scenario and the edge types they give a meaning to."""
     match config:
+        case NaturalisticConfig():
+            assert references is not None, "learned terms need their networks"
+            return naturalistic_terms(config, references), YIELDING if config.lanes else FOLLOWING
         case RewardConfig():
             return car_following_terms(config), FOLLOWING
         case LaneRewardConfig():

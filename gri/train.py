@@ -22,11 +22,12 @@ from gri.network_reward import NetworkReward
 from gri.objectives.airl import AdversarialSettings, train_adversarial
 from gri.objectives.gri import GroundedSettings, train_grounded
 from gri.objectives.nri import NriSettings, train_nri
+from gri.objectives.recorded import RecordedSettings, train_recorded
 from gri.objectives.supervised import SupervisedSettings, train_supervised
 from gri.progress import Progress, silent
 from gri.rewards import ShapedReward, StructuredReward
 
-Objective = GroundedSettings | AdversarialSettings | NriSettings | SupervisedSettings
+Objective = GroundedSettings | RecordedSettings | AdversarialSettings | NriSettings | SupervisedSettings
 
 
 class TrainConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -63,7 +64,7 @@ def model_config(config: TrainConfig) -> ModelConfig:
     told = isinstance(config.objective, SupervisedSettings)
     all_alike = isinstance(config.objective, AdversarialSettings) and config.objective.relations == "all_alike"
     fitting = synthetic.model_config(
-        config.data.scene_range,
+        config.data.recorded or config.data.scene_range,
         config.decoder,
         encoder=None if told or all_alike else config.encoder,
         graph=_all_alike(3) if all_alike else None,
@@ -81,7 +82,7 @@ def train(config: TrainConfig, splits: Splits, seed: int, progress: Progress = s
     began = time.monotonic(), time.process_time()
     torch.manual_seed(seed)
     model = RelationalModel(model_config(config))
-    scenes = config.data.scene_range
+    scenes = config.data.recorded or config.data.scene_range
     reward: StructuredReward | None = None
     match config.objective:
         case SupervisedSettings() as settings:
@@ -89,6 +90,9 @@ def train(config: TrainConfig, splits: Splits, seed: int, progress: Progress = s
         case GroundedSettings() as settings:
             reward = StructuredReward(scenes.reward)
             train_grounded(model, reward, splits.train, settings, seed, progress)
+        case RecordedSettings() as settings:
+            reward = StructuredReward(scenes.reward)
+            train_recorded(model, reward, splits.train, settings, seed, progress)
         case NriSettings() as settings:
             train_nri(model, splits.train, settings, seed, progress)
         case AdversarialSettings(rewards="networks") as settings:

@@ -13,15 +13,17 @@ import torch
 
 from gri.data.lane_changing import LANE_CHANGING_SCENES
 from gri.data.ranges import RANGES, GraphShare
+from gri.data.recorded import recorded_scenes
+from gri.data.recorded_ranges import RECORDED, RecordedRange
 from gri.data.synthetic import Range, Scenes, make_scenes, train_expert
 from gri.errors import InputError
 from gri.progress import Progress, silent
 
 
 class DataConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Which synthetic scenes, how many, from which seed."""
+    """Which scenes; of synthetic ones also how many, from which seed. Recorded ones come with their splits."""
 
-    range: Literal["paper", "us101", "lane_changing"]
+    range: Literal["paper", "us101", "lane_changing", "ngsim_car_following", "ngsim_lane_changing"]
     graphs: Literal["one", "mixed"]
     """The paper's one true graph for all scenes, or several of which that one is the most frequent."""
     train: int = 2000
@@ -33,7 +35,13 @@ class DataConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Standard deviation [m/s³] of independent noise on the expert's jerk."""
 
     @property
+    def recorded(self) -> RecordedRange | None:
+        """What recorded scenes have in common; None for synthetic ones."""
+        return RECORDED.get(self.range)
+
+    @property
     def scene_range(self) -> Range:
+        """What synthetic scenes have in common."""
         return LANE_CHANGING_SCENES if self.range == "lane_changing" else RANGES[self.range]
 
     @property
@@ -51,7 +59,12 @@ class Splits:
 
 
 def scenes_path(config: DataConfig, folder: Path) -> Path:
-    """Where the scenes of a configuration are kept; the name changes with anything they depend on."""
+    """Where the scenes of a configuration are kept; the name changes with anything synthetic ones depend on.
+
+    Recorded ones are in the file that `gri ngsim scenes` writes.
+    """
+    if config.recorded is not None:
+        return folder / "ngsim.parquet"
     content = msgspec.json.encode([config, config.scene_range, config.shares])
     return folder / f"{config.range}-{config.graphs}-{hashlib.sha256(content).hexdigest()[:10]}.npz"
 
@@ -59,10 +72,20 @@ def scenes_path(config: DataConfig, folder: Path) -> Path:
 def scenes_of(config: DataConfig, folder: Path, progress: Progress = silent) -> Splits:
     """The scenes of a configuration: from their file if it is there, else from a newly trained expert."""
     path = scenes_path(config, folder)
+    if config.recorded is not None:
+        return recorded_splits(config.recorded, path)
     scenes = read_scenes(path) if path.is_file() else _made(config, path, progress)
     sizes = [config.train, config.validation, config.test]
     parts = torch.arange(len(scenes)).split(sizes)
     return Splits(*(scenes[part] for part in parts))
+
+
+def recorded_splits(scenes: RecordedRange, path: Path) -> Splits:
+    """The splits of a scene file. Errors: `InputError` where it is not there, or a split is empty."""
+    if not path.is_file():
+        raise InputError(f"{path}: no such scene file; make it with `gri ngsim scenes FILE... --out {path}`")
+    parts = (recorded_scenes(path, scenes, split)[0] for split in ("train", "validation", "test"))
+    return Splits(*parts)
 
 
 def _made(config: DataConfig, path: Path, progress: Progress) -> Scenes:

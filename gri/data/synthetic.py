@@ -9,6 +9,7 @@ from torch import Tensor
 from gri.data.lane_changing import LaneChangingRange, sample_merge
 from gri.data.leader import leader_states, uniform
 from gri.data.ranges import GraphShare, SceneRange
+from gri.data.recorded_ranges import RecordedRange
 from gri.decoder import DecoderConfig
 from gri.encoder import EncoderConfig
 from gri.graph import FOLLOWING, InteractionGraph, Vocabulary
@@ -102,7 +103,10 @@ def _certain(edges: tuple[Edge, ...], vocabulary: Vocabulary) -> Int[Tensor, "1 
 
 
 def model_config(
-    scenes: Range, decoder: DecoderConfig, encoder: EncoderConfig | None, graph: tuple[Edge, ...] | None = None
+    scenes: Range | RecordedRange,
+    decoder: DecoderConfig,
+    encoder: EncoderConfig | None,
+    graph: tuple[Edge, ...] | None = None,
 ) -> ModelConfig:
     """A model that fits the scenes; without an encoder it believes in `graph`, by default the first of the
     range.

@@ -1,0 +1,47 @@
+"""Recorded scenes for training and testing: read from a scene file, in the layout the models work in."""
+
+from pathlib import Path
+
+from jaxtyping import Float
+from torch import Tensor
+
+from gri.data.recorded_ranges import RecordedRange
+from gri.data.scenes_file import Recorded, read
+from gri.data.synthetic import Scenes
+from gri.dynamics import dynamics_named
+from gri.errors import InputError
+
+
+def recorded_scenes(path: Path, scenes: RecordedRange, split: str | None) -> tuple[Scenes, Recorded]:
+    """Scenes of a file with their actions, and all else the file says of them.
+
+    y is counted from the mean lateral position of the leader, so that the target lane is at 0. Errors: `InputError`
+    where the file has no such scenes, or of another length or rate.
+    """
+    dynamics = dynamics_named(scenes.dynamics)
+    found = read(path, scenes.kind, dynamics, scenes.vocabulary, split)
+    state, dt = found.trajectory.state, found.trajectory.dt
+    if (state.shape[2], round(dt, 6)) != (scenes.steps, scenes.dt):
+        raise InputError(
+            f"{path}: got {state.shape[2]} steps of {dt} s, wanted {scenes.steps} of {scenes.dt} s; "
+            "make the scenes with the default rules"
+        )
+    if not bool(found.trajectory.valid.all()):
+        raise InputError(f"{path}: some states of kind {scenes.kind} do not exist, wanted complete scenes")
+    state = _in_lane(state) if "y" in dynamics.state else state
+    state = _from_origin(state)
+    action = dynamics.inverse(state[:, :-1, :-1], state[:, :-1, 1:], dt)
+    return Scenes(state, action, found.graph), found
+
+
+def _in_lane(state: Float[Tensor, "S N T D"]) -> Float[Tensor, "S N T D"]:
+    shifted = state.clone()
+    shifted[..., 1] -= state[:, -1:, :, 1].mean(2, keepdim=True)
+    return shifted
+
+
+def _from_origin(state: Float[Tensor, "S N T D"]) -> Float[Tensor, "S N T D"]:
+    """x counted from where vehicle 0 starts."""
+    shifted = state.clone()
+    shifted[..., 0] -= state[:, :1, :1, 0]
+    return shifted

@@ -1,0 +1,144 @@
+"""Reward features of recorded traffic, with networks for what a driver wants to keep (Sec. VI-D).
+
+    f_v = (v_j − h1)²,   g_v = (v_j − h2(x_i, x_j))²,   g_s = ReLU(h3(x_i, x_j) − (x_i − x_j))²,
+    g_spatial = ReLU(h_d(x_i, x_j) − d_j)²,   g_time = ReLU(h_T(x_i, x_j) − (T_j − T_i))²
+
+d_j is the distance along the road to the point of collision, where the straight lines of the two vehicles meet, and
+T = d / v the time to it. Two signs are not those printed: g_spatial = ReLU((x_j − x_poc) − h)² costs nothing before the
+point of collision, and g_time = ReLU(h − (T_i − T_j))² would have whoever yields arrive first; `printed_yield` has
+them.
+
+What the networks read is less than the paper's x_i, x_j: a reference for v_j that reads v_j can equal it, and the term
+says nothing any more. So h1 is one number, h2 reads the headway and v_i, h3 the two speeds. Outputs are softplus, a
+ReLU that cannot die.
+"""
+
+import msgspec
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn.functional import softplus
+
+from gri.neural import mlp
+
+Value = Float[Tensor, "*batch"]
+
+
+class References(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Size of the reference networks, where they begin, and the range of the point of collision."""
+
+    hidden: int = 16
+    speed: float = 12.0
+    """h1 and h2 before training [m/s]."""
+    headway: float = 10.0
+    """h3 before training [m]."""
+    distance: float = 10.0
+    """h_d before training [m]."""
+    time: float = 1.0
+    """h_T before training [s]."""
+    speed_unit: float = 5.0
+    """Of what networks read and answer [m/s]."""
+    length_unit: float = 15.0
+    """The same [m]."""
+    time_unit: float = 1.0
+    """The same [s]."""
+    collision_range: float = 100.0
+    """A point of collision farther ahead is no concern [m]."""
+    slowest: float = 1.0
+    """Speeds count as at least this in times to collision [m/s]."""
+    printed_yield: bool = False
+
+
+class ReferenceNetworks(nn.Module):
+    """h1, h2, h3, and for yielding h_d and h_T; inputs are plain values, leading axes are free."""
+
+    def __init__(self, config: References, yielding: bool = False) -> None:
+        super().__init__()
+        self.config = config
+        self.h1 = nn.Parameter(_before(config.speed / config.speed_unit))
+        self.h2 = _network(2, config.hidden, config.speed / config.speed_unit)
+        self.h3 = _network(2, config.hidden, config.headway / config.length_unit)
+        if yielding:
+            self.h_d = _network(2, config.hidden, config.distance / config.length_unit)
+            self.h_t = _network(2, config.hidden, config.time / config.time_unit)
+
+    def own_speed(self) -> Float[Tensor, ""]:
+        """h1 [m/s]."""
+        return softplus(self.h1) * self.config.speed_unit
+
+    def speed(self, headway: Value, sender_speed: Value) -> Value:
+        """h2 [m/s]."""
+        c = self.config
+        return _answer(self.h2, headway / c.length_unit, sender_speed / c.speed_unit) * c.speed_unit
+
+    def headway(self, sender_speed: Value, receiver_speed: Value) -> Value:
+        """h3 [m]."""
+        return self._by_speeds(self.h3, sender_speed, receiver_speed) * self.config.length_unit
+
+    def distance(self, sender_speed: Value, receiver_speed: Value) -> Value:
+        """h_d [m]."""
+        return self._by_speeds(self.h_d, sender_speed, receiver_speed) * self.config.length_unit
+
+    def time(self, sender_speed: Value, receiver_speed: Value) -> Value:
+        """h_T [s]."""
+        return self._by_speeds(self.h_t, sender_speed, receiver_speed) * self.config.time_unit
+
+    def _by_speeds(self, network: nn.Sequential, sender: Value, receiver: Value) -> Value:
+        return _answer(network, sender / self.config.speed_unit, receiver / self.config.speed_unit)
+
+
+def _before(value: float) -> Tensor:
+    """What softplus makes the value of."""
+    return torch.tensor(value).expm1().log()
+
+
+def _network(inputs: int, hidden: int, start: float) -> nn.Sequential:
+    network = mlp([inputs, hidden, hidden, 1], last_scale=0.1)
+    last = network[-1]
+    assert isinstance(last, nn.Linear)
+    with torch.no_grad():
+        last.bias.copy_(_before(start))
+    return network
+
+
+def _answer(network: nn.Sequential, *inputs: Value) -> Value:
+    return softplus(network(torch.stack(torch.broadcast_tensors(*inputs), -1))[..., 0])
+
+
+def collision_point(
+    sender: Float[Tensor, "*batch 4"], receiver: Float[Tensor, "*batch 4"], farthest: float
+) -> tuple[Value, Float[Tensor, "*batch"]]:
+    """x of the point where two vehicles [x, y, vx, vy] would meet if both went straight on; 1 if it counts, else 0.
+
+    It counts if it is ahead of both vehicles, by no more than `farthest` [m].
+    """
+    dx, dy = sender[..., 0] - receiver[..., 0], sender[..., 1] - receiver[..., 1]
+    (vx_i, vy_i), (vx_j, vy_j) = sender[..., 2:].unbind(-1), receiver[..., 2:].unbind(-1)
+    cross = vx_j * vy_i - vy_j * vx_i
+    parallel = cross.abs() < 1e-3
+    time = (dx * vy_i - dy * vx_i) / torch.where(parallel, torch.ones_like(cross), cross)  # of the receiver [s]
+    place = receiver[..., 0] + vx_j * time
+    ahead_i, ahead_j = place - sender[..., 0], place - receiver[..., 0]
+    counts = ~parallel & (ahead_i > 0) & (ahead_j > 0) & (ahead_i < farthest) & (ahead_j < farthest)
+    return torch.where(counts, place, receiver[..., 0]), counts.to(place.dtype)
+
+
+def g_spatial(x_poc: Value, counts: Value, receiver: Float[Tensor, "*batch 4"], wanted: Value, printed: bool) -> Value:
+    """ReLU(h_d − d_j)²  [m²]: whoever yields keeps away from the point of collision."""
+    distance = x_poc - receiver[..., 0]
+    short = -distance - wanted if printed else wanted - distance
+    return counts * short.clamp(min=0) ** 2
+
+
+def g_time(
+    x_poc: Value,
+    counts: Value,
+    sender: Float[Tensor, "*batch 4"],
+    receiver: Float[Tensor, "*batch 4"],
+    wanted: Value,
+    references: References,
+) -> Value:
+    """ReLU(h_T − (T_j − T_i))²  [s²]: whoever yields arrives later."""
+    at = [(x_poc - s[..., 0]) / s[..., 2].clamp(min=references.slowest) for s in (sender, receiver)]
+    later = at[0] - at[1] if references.printed_yield else at[1] - at[0]
+    return counts * (wanted - later).clamp(min=0) ** 2

@@ -1,0 +1,170 @@
+"""Table 2: train every row on recorded scenes and put it to the tests; what is done is kept and never made again."""
+
+import hashlib
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import torch
+
+from gri import checkpoint, idm, ood, resources
+from gri import recorded_scores as scores
+from gri.data.ngsim.extract import extract
+from gri.data.ngsim.rules import Rules
+from gri.data.recorded import recorded_scenes
+from gri.data.recorded_ranges import RECORDED, RecordedRange
+from gri.data.scenes_file import Recorded, header_of
+from gri.data.store import Splits
+from gri.data.synthetic import Scenes
+from gri.dynamics import dynamics_named
+from gri.errors import InputError
+from gri.evaluate import believed
+from gri.graph import EdgeType
+from gri.jobs import write
+from gri.model import RelationalModel
+from gri.probes import reconstruct
+from gri.progress import Progress, silent
+from gri.train import TrainConfig, read_train_config, train
+
+VERSION = 1
+"""Of what a result holds; raise it when the tests change."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """One model of the table."""
+
+    name: str
+    suffix: str
+    """Its training configuration is `scenarios/train/SCENARIO + suffix.yaml`; `IDM` has none, it is calibrated."""
+    meaning: bool = True
+    """Its edge types have the meaning of the definitions."""
+    transfers: bool = False
+    """Also trained on each site alone and tested on the other."""
+
+
+IDM = Row("IDM, calibrated", "", transfers=True)
+ROWS = (
+    Row("GRI", "", transfers=True),
+    Row("GRI (paper)", "_airl"),
+    Row("NRI", "_nri", meaning=False),
+    Row("Supervised", "_supervised", transfers=True),
+)
+
+
+@dataclass(frozen=True)
+class Job:
+    """A row, a seed, and the site that it is trained on; None: all."""
+
+    scenario: str
+    row: Row
+    seed: int
+    site: str | None = None
+
+    @property
+    def scenes(self) -> RecordedRange:
+        return RECORDED[self.scenario]
+
+    @property
+    def config(self) -> TrainConfig | None:
+        if self.row is IDM:
+            return None
+        return read_train_config(resources.shipped("scenarios", "train", f"{self.scenario}{self.row.suffix}.yaml"))
+
+    def folder(self, cache: Path, file: str) -> Path:
+        content = msgspec.json.encode([VERSION, self.config, self.scenes, self.seed, self.site, file, self.row.meaning])
+        name = f"{self.scenario}{self.row.suffix or ('_idm' if self.row is IDM else '')}-s{self.seed}"
+        return cache / f"{name}{f'-{self.site}' if self.site else ''}-{hashlib.sha256(content).hexdigest()[:10]}"
+
+    def result(self, cache: Path, file: str) -> dict[str, Any]:
+        return msgspec.json.decode((self.folder(cache, file) / "result.json").read_bytes())
+
+
+def scene_file(source: Path, folder: Path, progress: Progress = silent) -> Path:
+    """A scene file as it is, or the one cut from all NGSIM files of a folder, kept under a name that says the rules."""
+    if source.is_file():
+        header_of(source)
+        return source
+    files = sorted(p for p in source.glob("*") if p.name.lower().endswith((".txt", ".csv", ".gz", ".zip")))
+    if not files:
+        raise InputError(f"{source}: got no NGSIM files (.txt, .csv, .gz, .zip) and no scene file; give either")
+    key = msgspec.json.encode([[(p.name, p.stat().st_size) for p in files], Rules()])
+    path = folder / f"ngsim-{hashlib.sha256(key).hexdigest()[:10]}.parquet"
+    if not path.is_file():
+        extract(files, path, Rules(), progress=progress)
+    return path
+
+
+def digest(path: Path) -> str:
+    """Which scenes: the hash of the file."""
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()[:16]
+
+
+def jobs_of(scenario: str, seeds: int, sites: Sequence[str], names: Sequence[str] = ()) -> list[Job]:
+    """All rows seed by seed, then one seed of the transfers; `names` leaves out other rows."""
+    rows = [row for row in ROWS if not names or row.name in names]
+    made = [Job(scenario, IDM, 0), *(Job(scenario, row, seed) for seed in range(seeds) for row in rows)]
+    if len(sites) > 1:
+        made += [Job(scenario, row, 0, site) for row in (IDM, *rows) if row.transfers for site in sites]
+    return made
+
+
+def run(job: Job, path: Path, cache: Path, progress: Progress = silent) -> dict[str, Any]:
+    """Do the job unless it is done; the result appears last and whole."""
+    folder = job.folder(cache, digest(path))
+    if not (folder / "result.json").is_file():
+        parts = {split: recorded_scenes(path, job.scenes, split) for split in ("train", "validation", "test")}
+        chosen = _of_site(*parts["train"], job.site)
+        began = time.process_time()
+        result = _calibrated(job, chosen, parts["test"], progress) if job.config is None else None
+        if result is None:
+            splits = Splits(chosen, parts["validation"][0], parts["test"][0])
+            result = _examined(job, _model(job, splits, folder, progress), splits, parts["test"][1])
+        write(folder / "result.json", result | {"cpu_seconds": round(time.process_time() - began, 1)})
+    return job.result(cache, digest(path))
+
+
+def _of_site(scenes: Scenes, found: Recorded, site: str | None) -> Scenes:
+    return scenes if site is None else scenes[torch.from_numpy(found.source == site)]
+
+
+def _model(job: Job, splits: Splits, folder: Path, progress: Progress) -> RelationalModel:
+    path = folder / "model.pt"
+    if not path.is_file():
+        assert job.config is not None
+        trained = train(job.config, splits, job.seed, progress)
+        checkpoint.save(path, trained.model, trained.reward, trained.provenance)
+    return checkpoint.load(path)
+
+
+def _examined(job: Job, model: RelationalModel, splits: Splits, found: Recorded) -> dict[str, Any]:
+    test, vocabulary = splits.test, model.config.vocabulary
+    state = reconstruct(model, test)
+    follow = scores.kept_edge(vocabulary, EdgeType.FOLLOW)
+    types = follow if job.row.meaning else ood.modal_edges(believed(model, test).map, (0, 1), 3)
+    return {
+        "errors": scores.errors(state, test.state, model.dynamics) | scores.best_of_samples(model, splits.train, test),
+        "site": found.source.tolist(),
+        "compared": scores.compared(state, test.state, found.length, model.dynamics),
+        "graphs": None if model.encoder is None else scores.graphs(model, test),
+        "ood": scores.by_ratio(scores.responder(model, types), test, (0, 1), model.dynamics),
+        "ood_types": types,
+    }
+
+
+def _calibrated(job: Job, train_scenes: Scenes, test: tuple[Scenes, Recorded], progress: Progress) -> dict[str, Any]:
+    scenes, found = test
+    driver, dynamics = idm.calibrate(train_scenes, job.scenes.dt, progress), dynamics_named(job.scenes.dynamics)
+    state = idm.drive(driver, scenes.start, scenes.leader)
+    return {
+        "errors": scores.errors(state, scenes.state, dynamics),
+        "site": found.source.tolist(),
+        "compared": scores.compared(state, scenes.state, found.length, dynamics),
+        "graphs": None,
+        "parameters": idm.parameters(driver),
+        "ood": scores.by_ratio(lambda start, ahead: idm.drive(driver, start, ahead), scenes, (0, 1), dynamics),
+    }
