@@ -34,8 +34,9 @@ of 20 roll-outs with drawn actions. Contacts: share of scenes in which a net gap
 """
 OOD_NOTES = """\
 Success rate [%] against δ, the share by which the headway is shrunk: vehicle 0 starts at (1 − δ)·Δx behind vehicle 1,
-which drives as recorded; only the edge 1 → 0 is left. Mean over seeds ± half of the 95 % interval over the scenes of one
-seed. GRI's training maximises the learned reward from starts shifted by −5 to 30 m as well, without demonstrations there.
+which drives as recorded; only the edge 1 → 0 is left. Mean over seeds ± half of the 95 % interval over the scenes of
+one seed. GRI's training also maximises the learned reward from starts shifted by −5 to 30 m, without demonstrations
+there.
 """
 Results = list[tuple[Job, dict[str, Any]]]
 
