@@ -64,6 +64,8 @@ def _group(number: int, episode: Episode, expected: Mapping[tuple[int, int], Edg
         "episode": np.int32(number),
         "driver": episode.driver,
         **{f"vehicle_{role}": vehicle for role, vehicle in enumerate(episode.group.ids)},
+        **{f"length_{role}": float(length) for role, length in enumerate(episode.length)},
+        **{f"width_{role}": float(width) for role, width in enumerate(episode.width)},
         "taken_at": episode.group.time,
         "driven_for": episode.end - episode.group.time,
         "ending": episode.ending.value,

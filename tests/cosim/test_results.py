@@ -87,6 +87,7 @@ def test_groups_say_who_how_and_what_was_believed(tables):
     driven, left = tables["groups"].iloc[0], tables["groups"].iloc[1]
     assert driven["driven_for"] == pytest.approx(2.0)
     assert (driven["vehicle_0"], driven["vehicle_2"]) == ("a", "c")
+    assert (driven["length_0"], driven["width_2"]) == (5.0, episode().width[2])
     assert driven["graph_as_expected"]
     assert (driven["edge_1_0"], driven["edge_0_1"]) == ("follow", "none")
     assert driven["edge_2_1_p"] == pytest.approx(1.0)
