@@ -27,13 +27,14 @@ def overlaps(
 
     Touching boxes do not overlap: the test is strict.
     """
-    centre = box_centre(xy, heading, length)
+    x, y = box_centre(xy, heading, length).T
     radius = 0.5 * np.hypot(length, width)
-    offset = centre[None] - centre[rows][:, None]  # Shape: (R, V, 2)
-    near = (offset**2).sum(-1) < (radius[rows][:, None] + radius[None]) ** 2
+    near = np.hypot(x - x[rows, None], y - y[rows, None]) < radius + radius[rows, None]  # Shape: (R, V)
     near[np.arange(len(rows)), rows] = False
     which, j = np.nonzero(near)
     i = rows[which]
+    if not len(i):
+        return np.empty((0, 2), dtype=int)
     boxes = Boxes(xy, heading, length, width)
     return np.stack([i, j], axis=1)[boxes_meet(boxes[i], boxes[j])]
 

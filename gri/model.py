@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from gri.decoder import Decoder, DecoderConfig, dense
+from gri.decoder import Act, Decoder, DecoderConfig, dense
 from gri.dynamics import Dynamics, DynamicsName, dynamics_named
 from gri.encoder import Encoder, EncoderConfig
 from gri.graph import FOLLOWING, EdgeType, InteractionGraph
@@ -67,6 +67,9 @@ class RelationalModel(nn.Module):
         types = len(config.vocabulary)
         self.decoder = Decoder(config.decoder, config.scale, types)
         self.encoder = Encoder(config.encoder, config.scale, types, config.dt) if config.encoder else None
+        self._bound: tuple[InteractionGraph, Act] | None = (
+            None  # the graph `act` last drove by, and the policy under it
+        )
 
     @property
     def dynamics(self) -> Dynamics:
@@ -108,7 +111,9 @@ class RelationalModel(nn.Module):
     def act(self, memory: PolicyState, state: Float[Tensor, "B N D"]) -> tuple[Float[Tensor, "B N A"], PolicyState]:
         """Mean action under the most probable graph."""
         assert memory.graph is not None, "begin() gives a PolicyState with a graph"
-        action, recurrent = self.decoder.bind(dense(memory.graph.one_hot))(relative(state), memory.memory)
+        if self.training or self._bound is None or self._bound[0] is not memory.graph:
+            self._bound = memory.graph, self.decoder.bind(dense(memory.graph.one_hot))
+        action, recurrent = self._bound[1](relative(state), memory.memory)
         return action, PolicyState(memory.graph, recurrent)
 
     def step(self, state: Float[Tensor, "*batch D"], action: Float[Tensor, "*batch A"]) -> Float[Tensor, "*batch D"]:
