@@ -164,7 +164,7 @@ def _curves(axis: Axes, part: pd.DataFrame, metric: str, scenario: rows.Scenario
         grouped = mine.groupby("headway")
         mean = grouped[metric].mean()
         band = grouped[f"{metric}_half_width"].mean() / np.sqrt(grouped.size())
-        above = 3 if name == "oracle" else 2
+        above = {"oracle": 4, "GRI": 3}.get(name, 2)
         style = {
             "zorder": above,
             "color": COLOURS.get(name, "black"),
@@ -186,11 +186,12 @@ def std_along_horizon(scenario: rows.Scenario, mine: Sequence[Job], cache: Path)
         for axis, feature in zip(axes, scenario.features, strict=True):
             std = np.mean([result[feature] for result in results], 0)
             time = np.arange(len(std)) * mine[0].config.data.scene_range.dt
-            axis.plot(time, std, label=name, color=COLOURS.get(name, "black"))
+            shown = std > 0  # the first states are given
+            axis.plot(time[shown], std[shown], label=name, color=COLOURS.get(name, "black"))
     for axis, feature in zip(axes, scenario.features, strict=True):
         axis.set_xlabel("time [s]")
         axis.set_ylabel(f"standard deviation of {UNITS[feature]}")
-        axis.set_ylim(bottom=0)
+        axis.set_yscale("log")  # the rows are two orders of magnitude apart
     handles, labels = axes[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="lower center", ncol=4, fontsize=7, frameon=False)
     figure.tight_layout(rect=(0, 0.16, 1, 1))
