@@ -98,7 +98,10 @@ class Given:
 def best_response(
     given: Given, reward: StructuredReward, dynamics: Dynamics, dt: float, iterations: int = 150
 ) -> Float[Tensor, "B T D"]:
-    """States of the vehicle under the actions with the highest true return, the best of several climbs."""
+    """States of the vehicle under the actions with the highest true return, the best of several climbs.
+
+    Where actions are many, only the guess that is best after a few steps climbs to its summit.
+    """
     steps, size = given.others.shape[2] - 1, len(dynamics.action)
     others = given.others.double()[:, :, :-1]
     task = Task(given.start.double(), others, given.kinds, reward.in_double(), dynamics, dt)
@@ -107,16 +110,17 @@ def best_response(
         action = actions.unflatten(-1, (steps, size))
         return task.value(task.simulate(action)[:, :-1], action)
 
-    def summit(guess: Tensor) -> Tensor:
+    def try_out(guess: Tensor) -> Tensor:
         if size == 1:
             return climb(value, guess, iterations)
         # With more actions, a matrix over all of them is slow and slow to learn.
-        return climb_by_steps(task, guess.unflatten(-1, (steps, size))).flatten(1)
+        return climb_by_steps(task, guess.unflatten(-1, (steps, size)), iterations=10).flatten(1)
 
-    summits = [summit(guess) for guess in guesses(len(others), steps, size, dt)]
-    values = torch.stack([value(actions) for actions in summits])
-    best = torch.stack(summits)[values.argmax(0), torch.arange(len(others))]
-    return task.simulate(best.unflatten(-1, (steps, size))).float()
+    tried = [try_out(guess) for guess in guesses(len(others), steps, size, dt)]
+    values = torch.stack([value(actions) for actions in tried])
+    best = torch.stack(tried)[values.argmax(0), torch.arange(len(others))].unflatten(-1, (steps, size))
+    best = best if size == 1 else climb_by_steps(task, best)
+    return task.simulate(best).float()
 
 
 def guesses(count: int, steps: int, size: int, dt: float) -> list[Float[Tensor, "B n"]]:
