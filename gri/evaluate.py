@@ -65,7 +65,7 @@ def believed(model: RelationalModel, scenes: Scenes) -> InteractionGraph:
     """The graph a model drives by: inferred, or the true one where it is told (Supervised)."""
     if model.encoder is None and model.config.told_graph:
         return InteractionGraph.certain(scenes.graph, model.config.vocabulary)
-    return model.infer(scenes.state[:, :, : model.history_steps])
+    return model.infer(scenes.seen[:, :, : model.history_steps])
 
 
 def papers_graph(vocabulary: Vocabulary) -> Int[Tensor, " E"]:

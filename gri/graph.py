@@ -100,3 +100,10 @@ class InteractionGraph:
             for pair, k, p in zip(pairs(agents_of(len(types))), types, probs, strict=True)
             if self.vocabulary[k] is not EdgeType.NONE
         }
+
+
+def incoming(graph: Int[Tensor, "B E"], vehicle: int, vehicles: int) -> tuple[list[int], Int[Tensor, "B S"]]:
+    """The other vehicles, and the types of their edges into this one."""
+    others = [other for other in range(vehicles) if other != vehicle]
+    places = [pairs(vehicles).index((other, vehicle)) for other in others]
+    return others, graph[:, places]

@@ -32,14 +32,22 @@ class Task:
     reward: StructuredReward
     dynamics: Dynamics
     dt: float
+    never_reverse: bool = False
+    """The vehicle stops at v = 0, where the dynamics say how."""
 
     def __getitem__(self, scenes: Tensor) -> "Task":
         return replace(self, start=self.start[scenes], others=self.others[scenes])
 
+    def step(self, state: Float[Tensor, "*batch D"], action: Float[Tensor, "*batch A"]) -> Float[Tensor, "*batch D"]:
+        """The vehicle's next state."""
+        moved = self.dynamics.step(state, action, self.dt)
+        stop = self.dynamics.stop if self.never_reverse else None
+        return moved if stop is None else stop(state, moved)
+
     def simulate(self, action: Float[Tensor, "B T A"]) -> Float[Tensor, "B T+1 D"]:
         states = [self.start]
         for u in action.unbind(1):
-            states.append(self.dynamics.step(states[-1], u, self.dt))
+            states.append(self.step(states[-1], u))
         return torch.stack(states, 1)
 
     def features(self, state: Float[Tensor, "*batch T D"], action: Float[Tensor, "*batch T A"]) -> Tensor:
@@ -95,7 +103,7 @@ def gains(
     point = torch.cat([state[:, :-1], action], -1)
     slope, residual = derivatives(lambda p: task.features(p[..., :size], p[..., size:]), point)
     slopes, curved = task.weights @ slope, 2 * residual.mT @ (task.weights[:, None] * residual)
-    step = vmap(vmap(jacrev(lambda x, u: task.dynamics.step(x, u, task.dt), argnums=(0, 1))))
+    step = vmap(vmap(jacrev(task.step, argnums=(0, 1))))
     moves = torch.cat(step(state[:, :-1], action), -1)
     lift = damping[:, None, None] * torch.eye(action.shape[-1], dtype=state.dtype)
     value, linear = torch.zeros_like(curved[:, 0, :size, :size]), torch.zeros_like(slopes[:, 0, :size])
@@ -129,7 +137,7 @@ def _search(
     for t in range(action.shape[1]):
         answer = (feedback[:, t] @ (now - state[:, t])[..., None])[..., 0]
         actions.append(action[:, t] + lengths * open_loop[:, t] + answer)
-        now = task.dynamics.step(now, actions[-1], task.dt)
+        now = task.step(now, actions[-1])
         states.append(now)
     trial_state, trial = torch.stack(states, 2), torch.stack(actions, 2)
     value = task.value(trial_state[:, :, :-1], trial)

@@ -39,12 +39,12 @@ def leader_states(
         time = torch.arange(steps)[None] * dt
         speed = start[:, 1:2].expand(-1, steps)
         return torch.stack([start[:, :1] + speed * time, speed, torch.zeros_like(speed)], -1)
-    accelerations = _accelerations(config, len(start), steps, dt, generator)
-    states = [_limited(config, start[:, :2], accelerations[:, 0], dt)]
+    wanted = accelerations(config, len(start), steps, dt, generator)
+    states = [_limited(config, start[:, :2], wanted[:, 0], dt)]
     for t in range(1, steps):
         moved = POINT_MASS_1D.step(states[-1], torch.zeros_like(states[-1][:, :1]), dt)
         moved = stop_at_standstill(states[-1], moved)
-        states.append(_limited(config, moved[:, :2], accelerations[:, t], dt))
+        states.append(_limited(config, moved[:, :2], wanted[:, t], dt))
     return torch.stack(states, 1)
 
 
@@ -55,7 +55,7 @@ def _limited(config: LeaderConfig, moved: Tensor, acceleration: Tensor, dt: floa
     return torch.cat([moved, acceleration.maximum(low).minimum(high)[:, None]], -1)
 
 
-def _accelerations(
+def accelerations(
     config: LeaderConfig, scenes: int, steps: int, dt: float, generator: torch.Generator
 ) -> Float[Tensor, "B T"]:
     """Piecewise constant accelerations plus jitter, before the limits of speed apply."""

@@ -11,7 +11,9 @@ import msgspec
 import numpy as np
 import torch
 
+from gri.data.highway_merge import HIGHWAY_MERGE, HighwayMergeRange
 from gri.data.lane_changing import LANE_CHANGING_SCENES
+from gri.data.optimal import make_highway_scenes
 from gri.data.ranges import RANGES, GraphShare
 from gri.data.recorded import recorded_scenes
 from gri.data.recorded_ranges import RECORDED, RecordedRange
@@ -19,11 +21,13 @@ from gri.data.synthetic import Range, Scenes, make_scenes, train_expert
 from gri.errors import InputError
 from gri.progress import Progress, silent
 
+_SYNTHETIC: dict[str, Range] = {**RANGES, "lane_changing": LANE_CHANGING_SCENES, "highway_merge": HIGHWAY_MERGE}
+
 
 class DataConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Which scenes; of synthetic ones also how many, from which seed. Recorded ones come with their splits."""
 
-    range: Literal["paper", "us101", "lane_changing", "ngsim_car_following", "ngsim_lane_changing"]
+    range: Literal["paper", "us101", "lane_changing", "highway_merge", "ngsim_car_following", "ngsim_lane_changing"]
     graphs: Literal["one", "mixed"]
     """The paper's one true graph for all scenes, or several of which that one is the most frequent."""
     train: int = 2000
@@ -42,7 +46,7 @@ class DataConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     @property
     def scene_range(self) -> Range:
         """What synthetic scenes have in common."""
-        return LANE_CHANGING_SCENES if self.range == "lane_changing" else RANGES[self.range]
+        return _SYNTHETIC[self.range]
 
     @property
     def shares(self) -> tuple[GraphShare, ...]:
@@ -90,20 +94,26 @@ def recorded_splits(scenes: RecordedRange, path: Path) -> Splits:
 
 def _made(config: DataConfig, path: Path, progress: Progress) -> Scenes:
     scenes, shares = config.scene_range, config.shares
-    expert = train_expert(scenes, shares, config.seed, config.expert_updates, progress=progress)
     count = config.train + config.validation + config.test
-    made = make_scenes(expert, scenes, shares, count, config.seed + 1, config.action_noise)
+    if isinstance(scenes, HighwayMergeRange):
+        made = make_highway_scenes(scenes, config.graphs, count, config.seed, progress)
+    else:
+        expert = train_expert(scenes, shares, config.seed, config.expert_updates, progress=progress)
+        made = make_scenes(expert, scenes, shares, count, config.seed + 1, config.action_noise)
     write_scenes(path, made)
     return made
 
 
 def write_scenes(path: Path, scenes: Scenes) -> None:
-    """Write scenes as arrays `state`, `action`, `graph`; the file appears whole or not at all."""
+    """Write scenes as arrays `state`, `action`, `graph` and, if there is one, `history`.
+
+    The file appears whole or not at all.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_suffix(f".{os.getpid()}.part")
     try:
         with part.open("wb") as file:
-            np.savez(file, state=scenes.state.numpy(), action=scenes.action.numpy(), graph=scenes.graph.numpy())
+            np.savez(file, **{name: array.numpy() for name, array in vars(scenes).items() if array is not None})
         os.replace(part, path)
     finally:
         part.unlink(missing_ok=True)
@@ -113,7 +123,8 @@ def read_scenes(path: Path) -> Scenes:
     """Scenes of a file written by `write_scenes`."""
     try:
         with path.open("rb") as file, np.load(file) as arrays:
-            return Scenes(*(torch.from_numpy(arrays[name]) for name in ("state", "action", "graph")))
+            names = [name for name in ("state", "action", "graph", "history") if name != "history" or name in arrays]
+            return Scenes(*(torch.from_numpy(arrays[name]) for name in names))
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise InputError(
             f"{path}: not a scenes file, or damaged ({error}); delete it, it will be made again"

@@ -6,6 +6,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from gri.data.highway_merge import HighwayMergeRange, leader_drive, sample_takeovers
 from gri.data.lane_changing import LaneChangingRange, sample_merge
 from gri.data.leader import leader_states, uniform
 from gri.data.ranges import GraphShare, SceneRange
@@ -26,12 +27,20 @@ class Scenes:
     state: Float[Tensor, "S N T D"]
     action: Float[Tensor, "S R T-1 A"]
     graph: Int[Tensor, "S E"]
+    history: Float[Tensor, "S N H D"] | None = None
+    """What was seen before anybody in question drove, the start included; None: the scene itself is all there is."""
 
     def __len__(self) -> int:
         return len(self.state)
 
     def __getitem__(self, scenes: Tensor | slice) -> "Scenes":
-        return Scenes(self.state[scenes], self.action[scenes], self.graph[scenes])
+        history = None if self.history is None else self.history[scenes]
+        return Scenes(self.state[scenes], self.action[scenes], self.graph[scenes], history)
+
+    @property
+    def seen(self) -> Float[Tensor, "S N H D"]:
+        """What the graph is to be inferred from."""
+        return self.state if self.history is None else self.history
 
     @property
     def start(self) -> Float[Tensor, "S N D"]:
@@ -45,7 +54,7 @@ class Scenes:
         return torch.nn.functional.one_hot(self.graph, types).float()
 
 
-Range = SceneRange | LaneChangingRange
+Range = SceneRange | LaneChangingRange | HighwayMergeRange
 
 
 def sample_starts(
@@ -57,6 +66,10 @@ def sample_starts(
             return sample_row(scenes, count, generator, steps)
         case LaneChangingRange():
             return sample_merge(scenes, count, generator, steps)
+        case HighwayMergeRange():
+            start = sample_takeovers(scenes, scenes.one_graph[0].situation, count, generator)
+            leader = leader_drive(scenes, start[:, 2], generator)
+            return torch.cat([start[:, :2], leader[:, :1]], 1), leader
 
 
 def sample_row(

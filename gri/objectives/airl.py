@@ -103,7 +103,7 @@ def train_adversarial(
     for update in range(settings.updates):
         for chosen in batches(len(scenes), settings.batch, settings.reward_updates, generator):
             batch = scenes[chosen]
-            graph = model.infer(batch.state)
+            graph = model.infer(batch.seen)
             z = graph.sample(generator)
             judged = judge(model, reward, batch, z.detach(), generator)
             to_reward.step(discriminator_loss(judged.expert, judged.generated))
@@ -115,7 +115,7 @@ def train_adversarial(
             loss = (z * slope).sum((1, 2)).mean() + z.shape[1] * beta * kl
             to_encoder.step(loss + settings.logit_penalty * spread(graph.logits))
         batch = scenes[torch.randint(0, len(scenes), (settings.batch,), generator=generator)]
-        value = policy_value(model, reward, batch, model.infer(batch.state), settings, generator)
+        value = policy_value(model, reward, batch, model.infer(batch.seen), settings, generator)
         to_policy.step(-value)
         progress("game", update + 1, settings.updates, float(value.detach()))
 

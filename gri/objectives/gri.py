@@ -239,7 +239,7 @@ def faded(done: float, left: float) -> float:
 def _look(
     model: RelationalModel, scenes: Scenes, settings: GroundedSettings, generator: torch.Generator
 ) -> InteractionGraph:
-    return model.infer(augment(scenes.state, settings.augmentation, model.history_steps, generator, model.dynamics))
+    return model.infer(augment(scenes.seen, settings.augmentation, model.history_steps, generator, model.dynamics))
 
 
 def grounded_return(

@@ -44,7 +44,7 @@ def train_nri(
     beta = 0.0
     for update, chosen in enumerate(batches(len(scenes), settings.batch, settings.updates, generator)):
         batch = scenes[chosen]
-        graph = model.infer(batch.state)
+        graph = model.infer(batch.seen)
         driven = rollout(model, batch.start, graph.sample(generator, settings.temperature), batch.leader)
         error = reconstruction_loss(driven.state, batch.state, model.dynamics)
         kl = categorical_kl(graph.logits, prior).mean()

@@ -8,11 +8,11 @@ an improvement on it. A few sweeps come near an equilibrium of vehicles that for
 
 import msgspec
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from gri.data.synthetic import Scenes
-from gri.graph import pairs
+from gri.graph import incoming
 from gri.ilqr import Task, climb_by_steps
 from gri.model import RelationalModel
 from gri.objectives.common import squared_error
@@ -58,17 +58,18 @@ def respond(scenes: Scenes, vehicle: int, model: RelationalModel, reward: Struct
     for shared in kinds.unique(dim=0):
         chosen = (kinds == shared).all(-1).nonzero()[:, 0]
         given = scenes.state[chosen][:, others, :-1]
-        task = Task(state[chosen, vehicle, 0], given, tuple(shared.tolist()), reward, model.dynamics, model.dt)
+        task = Task(
+            state[chosen, vehicle, 0],
+            given,
+            tuple(shared.tolist()),
+            reward,
+            model.dynamics,
+            model.dt,
+            model.config.never_reverse,
+        )
         action[chosen, vehicle] = climb_by_steps(task, action[chosen, vehicle], iterations)
         state[chosen, vehicle] = task.simulate(action[chosen, vehicle])
     return Scenes(state, action, scenes.graph)
-
-
-def incoming(graph: Int[Tensor, "B E"], vehicle: int, vehicles: int) -> tuple[list[int], Int[Tensor, "B S"]]:
-    """The other vehicles, and the types of their edges into this one."""
-    others = [other for other in range(vehicles) if other != vehicle]
-    places = [pairs(vehicles).index((other, vehicle)) for other in others]
-    return others, graph[:, places]
 
 
 def distance(model: RelationalModel, optima: Scenes, scale: float) -> Float[Tensor, ""]:

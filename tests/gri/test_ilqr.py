@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -50,3 +52,12 @@ def test_the_return_is_that_of_the_reward(task: Task):
     expected = reward.of_vehicles(state[:, None], action[:, None]).sum((1, 2))
     expected = expected + paid.gather(-1, kinds[None, :, None, None].expand(3, 2, STEPS, 1)).sum((1, 2, 3))
     torch.testing.assert_close(task.value(state, action), expected)
+
+
+def test_who_never_reverses_stands(task: Task):
+    action = torch.zeros(3, STEPS, 2, dtype=torch.double)
+    action[:, 0, 0] = -100.0  # brakes with 20 m/s² from 4 to 6 m/s
+    free, standing = task.simulate(action), replace(task, never_reverse=True).simulate(action)
+    assert (free[:, -1, 2] < 0).all()
+    assert (standing[:, -1, [2, 4, 5]] == 0).all()
+    assert (standing[..., 0].diff(dim=1) >= 0).all()

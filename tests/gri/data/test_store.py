@@ -33,3 +33,11 @@ def test_a_damaged_file_is_named(tmp_path: Path, keep: int):
     path.write_bytes(path.read_bytes()[:keep])
     with pytest.raises(InputError, match="not a scenes file, or damaged"):
         read_scenes(path)
+
+
+def test_histories_are_kept(tmp_path: Path):
+    splits = scenes_of(DataConfig(range="highway_merge", graphs="one", train=2, validation=1, test=1), tmp_path)
+    again = read_scenes(next(tmp_path.iterdir()))
+    assert splits.train.history is not None
+    assert again.history is not None
+    assert torch.equal(again[:2].seen, splits.train.history)
