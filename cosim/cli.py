@@ -34,14 +34,17 @@ def run(
     ] = None,
     seed: Annotated[int | None, typer.Option(help="Replace the scenario's seed.")] = None,
     episodes: Annotated[int | None, typer.Option(help="Replace the scenario's number of episodes.")] = None,
+    recording: Annotated[Path | None, typer.Option(help="The NGSIM file that the scenario replays.")] = None,
     out: Annotated[Path | None, typer.Option(help="Run folder to write; default: a new one in runs/.")] = None,
 ) -> None:
     """Take three-vehicle groups out of live traffic, drive them, hand them back."""
-    from cosim.loading import load_scenario, override
+    from cosim.loading import load_scenario, override, replaying
     from cosim.scenario import tag_of
 
     changes = {"seed": seed, "episodes": episodes, "policy": baseline and {"kind": BASELINES[baseline]}}
     chosen = override(load_scenario(scenario), {k: v for k, v in changes.items() if v is not None})
+    if recording is not None:
+        chosen = replaying(chosen, recording)
     from cosim.results import next_folder, run_folder  # brings pandas, which bad input need not wait for
     from cosim.worker import run_in_worker
 

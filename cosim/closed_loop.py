@@ -12,6 +12,8 @@ from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 
+from msgspec.structs import replace
+
 from cosim.branch import CAN_FORK, fork
 from cosim.driving import Driver, drive
 from cosim.episode import INTERRUPTED, Episode
@@ -21,7 +23,8 @@ from cosim.intervention import prepare
 from cosim.perturb.demand import perturbed_traffic
 from cosim.perturb.start import Infeasible
 from cosim.record import Round
-from cosim.scenario import Merge, Scenario
+from cosim.replay import Player, tracks_of, without_demand
+from cosim.scenario import Merge, Replay, Scenario
 from cosim.sumo import Snapshot, Sumo, sumo
 from cosim.traffic import arguments, route_file
 from gri.errors import InputError
@@ -54,11 +57,12 @@ class Outcome:
 
 @dataclass(frozen=True)
 class RunningRoad:
-    """A running simulation, its road, and where merges take place on it."""
+    """A running simulation, its road, where merges take place on it, and who moves recorded vehicles, if any."""
 
     world: Sumo
     frame: RoadFrame
     lanes: MergeLanes | None
+    player: Player | None
 
 
 def run(
@@ -76,6 +80,7 @@ def run(
     the same. Perturbations of the traffic concern everybody, all others the branch only: what is left to SUMO in the
     trunk is undisturbed, and with `driver=None` SUMO drives the perturbed groups, too, in a branch.
     """
+    scenario = prepared(scenario)
     end = scenario.traffic.warm_up + scenario.time_limit
     files.routes.write_text(route_file(perturbed_traffic(scenario).traffic, scenario.seed, end))
     driven: list[Episode] = []
@@ -83,6 +88,7 @@ def run(
     excluded: list[tuple[Group, Infeasible]] = []
     nothing_done = driver is None and not scenario.perturbations
     with simulation(scenario, files) as road:
+        end = end if road.player is None else min(end, road.player.end)
         trunk = Trunk(road, scenario)
         trunk.warm_up(tell)
         while (count := _counted(left if nothing_done else driven)) < scenario.episodes and trunk.time < end:
@@ -160,6 +166,8 @@ class Trunk:
         reach = now.s + now.v * scenario.horizon
         inside = [v for v, s in zip(now.ids, reach, strict=True) if s <= scenario.road.length]
         staying = {v for v in inside if v not in self._used and set(self._road.world.route(v)[1:]) <= main}
+        if self._road.player is not None:
+            staying &= self._road.player.lasting(scenario.horizon)
         groups = select(
             history,
             scenario.group,
@@ -169,8 +177,16 @@ class Trunk:
         )
         self._used |= {vehicle for group in groups for vehicle in group.ids}
         steps = scenario.steps
-        driven, watched = steps(scenario.horizon), steps(scenario.watch)
-        return Round(tuple(groups), scenario.group, scenario.driven, driven, watched, scenario.step, self._road.lanes)
+        return Round(
+            groups=tuple(groups),
+            rule=scenario.group,
+            owned=scenario.driven,
+            driven=steps(scenario.horizon),
+            watched=steps(scenario.watch),
+            dt=scenario.step,
+            lanes=self._road.lanes,
+            undriven="sumo" if self._road.player is None else "recorded",
+        )
 
     def leave(self, history: Sequence[Snapshot], task: Round) -> list[Episode]:
         """Leave a round to SUMO and record it."""
@@ -195,6 +211,13 @@ def _replay(scenario: Scenario, files: Files, steps: int, task: Round, driver: D
         return drive(road.world, road.frame, history, task, driver, intervention)
 
 
+def prepared(scenario: Scenario) -> Scenario:
+    """The scenario as it is simulated: where a recording is played, the traffic has no demand of its own."""
+    if not isinstance(scenario.background, Replay):
+        return scenario
+    return replace(scenario, traffic=without_demand(scenario.traffic))
+
+
 @contextmanager
 def simulation(scenario: Scenario, files: Files) -> Iterator[RunningRoad]:
     """Start SUMO and check the scenario against its net."""
@@ -203,7 +226,12 @@ def simulation(scenario: Scenario, files: Files) -> Iterator[RunningRoad]:
         if missing := [edge for edge in scenario.road.edges if edge not in known]:
             raise InputError(f"road.edges: the net {files.net} has no edge {missing[0]!r}")
         frame = world.road(scenario.road.edges, scenario.road.origin)
-        yield RunningRoad(world, frame, _merge_lanes(world, frame, scenario))
+        player = None
+        if isinstance(scenario.background, Replay):
+            tracks = tracks_of(scenario.background, scenario.step)
+            player = Player(world, frame, tracks, scenario.step, scenario.background, scenario.traffic)
+            world.before_step = player
+        yield RunningRoad(world, frame, _merge_lanes(world, frame, scenario), player)
 
 
 def _merge_lanes(world: Sumo, road: RoadFrame, scenario: Scenario) -> MergeLanes | None:

@@ -88,7 +88,7 @@ def drive(
         frames.append(frame.carried_on(frames[-1]))
     return [
         Episode(
-            driver="sumo" if driver is None else driver.name,
+            driver=task.undriven if driver is None else driver.name,
             group=group,
             time=np.array([frame.time for frame in frames]),
             state=np.stack([frame.state[g] for frame in frames]),

@@ -5,7 +5,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from xml.etree import ElementTree
 
-from cosim.scenario import Own, Scenario, Trained
+from cosim.scenario import Own, Replay, Scenario, Trained
 from gri.errors import InputError
 from gri.resources import checkpoint as released
 from gri.resources import checkpoints, shipped
@@ -27,13 +27,25 @@ def find_net(name: str) -> Path:
 
 
 def input_files(scenario: Scenario) -> dict[str, Path]:
-    """Every file besides the scenario itself that a run depends on: its net, its checkpoint, its policy's source."""
+    """Every file besides the scenario itself that a run depends on: its net, checkpoint, policy's source, recording."""
     files = {"net": find_net(scenario.net)}
     if isinstance(scenario.policy, Trained):
         files["checkpoint"] = checkpoint_path(scenario.policy.checkpoint)
     if isinstance(scenario.policy, Own):
         files["policy"] = source_path(scenario.policy)
+    if isinstance(scenario.background, Replay):
+        files["recording"] = recording_path(scenario.background)
     return files
+
+
+def recording_path(background: Replay) -> Path:
+    """The file that a background replays."""
+    if not background.recording:
+        raise InputError("background.recording: no recording is named; give one with --recording FILE")
+    path = Path(background.recording)
+    if not path.is_file():
+        raise InputError(f"background.recording: no file {path}, seen from {Path.cwd()}; give an NGSIM trajectory file")
+    return path
 
 
 def source_path(policy: Own) -> Path:

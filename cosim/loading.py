@@ -6,7 +6,7 @@ from typing import Any
 
 import msgspec
 
-from cosim.scenario import Scenario, Traffic
+from cosim.scenario import Replay, Scenario, Traffic
 from gri.config import parsed, read_yaml, typed
 from gri.errors import InputError
 from gri.resources import shipped
@@ -53,3 +53,12 @@ def override(scenario: Scenario, changes: dict[str, Any]) -> Scenario:
     except msgspec.ValidationError as error:
         problem, _, location = str(error).partition(" - at `$.")
         raise InputError(f"--{location.rstrip('`').split('.')[0]}: {problem}") from None
+
+
+def replaying(scenario: Scenario, recording: Path) -> Scenario:
+    """The scenario with another recording to replay."""
+    if not isinstance(scenario.background, Replay):
+        raise InputError(
+            "--recording: this scenario's background is simulated; give one with background: {kind: replay}"
+        )
+    return override(scenario, {"background": {**msgspec.to_builtins(scenario.background), "recording": str(recording)}})

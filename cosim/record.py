@@ -33,6 +33,7 @@ class Round:
     watched: int
     dt: float
     lanes: MergeLanes | None = None
+    undriven: str = "sumo"  # whose the vehicles are that no policy drives
     third: bool = True
 
     @property

@@ -18,7 +18,9 @@ DRIVER_NAMES = {
     "idm": "IDM",
     "constant_velocity": "constant velocity",
     "sumo": "left to SUMO",
+    "recorded": "as recorded",
 }
+LEFT_ALONE = ("sumo", "recorded")  # drivers of groups that no policy took
 ROLE_COLOURS = ("#0072b2", "#d55e00", "#444444")
 EDGE_COLOURS = {"follow": "#009e73", "yield": "#e69f00", "cut_in": "#cc79a7"}
 ROLES = ("0 (last)", "1 (middle)", "2 (leader)")
@@ -28,7 +30,7 @@ Row = tuple[str, Callable[[pd.DataFrame], str]]
 
 def summary(groups: pd.DataFrame) -> Table:
     """The headline table: one column per driver, in the order of the groups table."""
-    table = Table(title="Groups driven, and the same groups left to SUMO", title_justify="left")
+    table = Table(title="Groups driven, and the same groups left alone", title_justify="left")
     table.add_column("")
     drivers = list(dict.fromkeys(groups["driver"]))
     for driver in drivers:
@@ -141,11 +143,11 @@ def picture(tables: Mapping[str, pd.DataFrame], path: Path, episode: int | None 
 
 def _twin(group: dict[str, Any], groups: pd.DataFrame, steps: pd.DataFrame) -> pd.DataFrame | None:
     """The steps of the same group left to SUMO, where that was recorded."""
-    same = (groups["driver"] == "sumo") & (groups["vehicle_0"] == group["vehicle_0"])
-    if group["driver"] == "sumo" or not same.any():
+    same = groups["driver"].isin(LEFT_ALONE) & (groups["vehicle_0"] == group["vehicle_0"])
+    if group["driver"] in LEFT_ALONE or not same.any():
         return None
     number = groups[same]["episode"].iloc[0]
-    return steps[(steps["episode"] == number) & (steps["driver"] == "sumo")]
+    return steps[(steps["episode"] == number) & steps["driver"].isin(LEFT_ALONE)]
 
 
 def _curves(

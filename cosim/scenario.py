@@ -196,6 +196,27 @@ class Own(Spec, frozen=True, kw_only=True, tag_field="kind", tag="python"):
     settings: dict[str, Any] = field(default_factory=dict)
 
 
+class Simulated(Spec, frozen=True, kw_only=True, tag_field="kind", tag="sumo"):
+    """SUMO's drivers, as `traffic` describes them."""
+
+
+class Replay(Spec, frozen=True, kw_only=True, tag_field="kind", tag="replay"):
+    """The vehicles of an NGSIM file move as they were recorded; of `traffic` only routes and drivers count.
+
+    The road's s = 0 is at Local_Y = −`entry` [m], its reference line at Local_X = `lane_1` [m], which is the centre of
+    the leftmost lane. A vehicle that is first seen in a lane (NGSIM's number) named in `flows` gets the route and class
+    of that flow, any other those of the first flow; they count once a vehicle was driven and handed back.
+    """
+
+    recording: str = ""
+    lane_1: float
+    entry: float = 0.0
+    flows: dict[int, str] = {}
+
+
+Background = Simulated | Replay
+
+
 class Inferred(Spec, frozen=True, kw_only=True, tag_field="source", tag="inferred"):
     """The graph the policy infers from what it saw."""
 
@@ -238,6 +259,7 @@ class Scenario(Spec, frozen=True, kw_only=True):
     net: str
     road: Road
     traffic: Traffic
+    background: Background = field(default_factory=Simulated)
     group: GroupRule
     policy: Driver
     graph: GraphSource = field(default_factory=Inferred)

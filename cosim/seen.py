@@ -28,7 +28,7 @@ class Frame:
         rows, valid = found.clip(min=0), found >= 0
         features = {"x": snapshot.xy[:, 0], "y": snapshot.xy[:, 1]}
         columns = [features[name] if name in features else getattr(snapshot, name) for name in COLUMNS]
-        state = np.stack([column[rows] for column in columns], axis=-1)
+        state = np.stack([np.append(column, 0.0)[rows] for column in columns], axis=-1)  # there may be nobody at all
         return cls(snapshot.time, np.where(valid[..., None], state, 0.0), valid, rows)
 
     def carried_on(self, previous: "Frame") -> "Frame":

@@ -7,7 +7,7 @@ commanded one only if `setSpeed` goes with it and the safety checks are off.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -81,12 +81,15 @@ class Sumo:
         self._sizes: dict[str, tuple[float, float]] = {}
         self._modes: dict[str, tuple[int, int]] = {}  # (speed mode, lane-change mode) before take-over
         self._twins: set[str] = set()  # vehicles that have one
-        self._pending = False  # moveToXY issued since the last step
+        self._commanded: set[str] = set()  # vehicles with a moveToXY since the last step
+        self.before_step: Callable[[], None] | None = None  # called by `step` before anything moves
 
     def step(self) -> StepReport:
         """Advance by one step length."""
+        if self.before_step is not None:
+            self.before_step()
         libsumo.simulationStep()
-        self._pending = False
+        self._commanded.clear()
         pairs = [(hit.collider, hit.victim) for hit in libsumo.simulation.getCollisions()]
         return StepReport(
             time=libsumo.simulation.getTime(),
@@ -134,7 +137,7 @@ class Sumo:
     def take(self, vehicle: str) -> None:
         """Take a vehicle from SUMO's drivers; from now on it must be commanded in every step."""
         api = libsumo.vehicle
-        self._modes[vehicle] = api.getSpeedMode(vehicle), api.getLaneChangeMode(vehicle)
+        self._modes.setdefault(vehicle, (api.getSpeedMode(vehicle), api.getLaneChangeMode(vehicle)))
         api.setSpeedMode(vehicle, _NO_CHECKS)
         api.setLaneChangeMode(vehicle, _NO_CHANGES)
 
@@ -151,7 +154,21 @@ class Sumo:
         libsumo.vehicle.setSpeed(vehicle, speed)
         mode = _GIVEN_LANE_EXACT_POSITION if lane else _KEEP_ROUTE_EXACT_POSITION
         libsumo.vehicle.moveToXY(vehicle, edge, int(index or -1), x, y, sumo_angle_of(heading), mode)
-        self._pending = True
+        self._commanded.add(vehicle)
+
+    def is_commanded(self, vehicle: str) -> bool:
+        """Whether the vehicle has a command for the coming step."""
+        return vehicle in self._commanded
+
+    def owns(self, vehicle: str) -> bool:
+        """Whether the vehicle was taken and not given back since."""
+        return vehicle in self._modes
+
+    def add(self, vehicle: str, route: str, kind: str, length: float, width: float, speed: float) -> None:
+        """Announce a vehicle of that type and size; it enters the net where its first command puts it."""
+        libsumo.vehicle.add(vehicle, route, kind, departSpeed=f"{speed:.3f}")
+        libsumo.vehicle.setLength(vehicle, length)
+        libsumo.vehicle.setWidth(vehicle, width)
 
     def place_twin(self, vehicle: str, x: float, y: float, heading: float, speed: float, lane: str) -> None:
         """Put a copy of the vehicle on a lane, for others to see; no snapshot, report or count shows it."""
@@ -171,6 +188,7 @@ class Sumo:
 
     def remove(self, vehicle: str) -> None:
         """Take a vehicle out of the simulation, for good and at once."""
+        self._modes.pop(vehicle, None)
         libsumo.vehicle.remove(vehicle)
 
     def release(self, vehicle: str) -> None:
@@ -211,7 +229,7 @@ class Sumo:
         return Strip(lane, float(s[0]), float(s[-1]), float(d[-1]), libsumo.lane.getWidth(lane))
 
     def _close(self) -> None:
-        if self._pending:  # closing and restarting with a pending moveToXY crashes SUMO
+        if self._commanded:  # closing and restarting with a pending moveToXY crashes SUMO
             libsumo.simulationStep()
         libsumo.close()
 

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from cosim.closed_loop import Files, Tell, simulation
+from cosim.closed_loop import Files, Tell, prepared, simulation
 from cosim.scenario import Scenario
 from cosim.sumo import Snapshot
 from cosim.traffic import route_file
@@ -30,12 +30,14 @@ class Survey:
 
 def survey(scenario: Scenario, files: Files, duration: float, tell: Tell) -> Survey:
     """Simulate the warm-up and `duration` [s] more; nobody is taken over."""
+    scenario = prepared(scenario)
     traffic = scenario.traffic
     files.routes.write_text(route_file(traffic, scenario.seed, traffic.warm_up + duration))
     parts, hardest, collisions, teleports = [], 0.0, 0, 0
     first, second = scenario.steps(traffic.warm_up), max(scenario.steps(1.0), 1)
-    total = first + scenario.steps(duration)
     with simulation(scenario, files) as road:
+        lasts = duration if road.player is None else min(duration, road.player.end)
+        total = first + scenario.steps(lasts)
         lanes = {edge: road.world.lane_count(edge) for edge in scenario.road.edges}
         for k in range(1, total + 1):
             report = road.world.step()

@@ -33,7 +33,10 @@ def traffic(
     """Simulate traffic with nobody taken over, and tell how it flows and which recorded targets it reaches."""
     from cosim.loading import load_scenario, override
 
-    chosen = [override(load_scenario(name), {} if seed is None else {"seed": seed}) for name in scenarios or SITES]
+    chosen = [
+        override(_simulated(load_scenario(name), name), {} if seed is None else {"seed": seed})
+        for name in scenarios or SITES
+    ]
     for name, scenario in zip(scenarios or SITES, chosen, strict=True):
         variants = [override(scenario, {"seed": scenario.seed + k}) for k in range(seeds)]
         with Stages() as progress:
@@ -59,7 +62,7 @@ def calibrate(
     """Search drivers and bottleneck for traffic like the recorded one; the same command goes on where it stopped."""
     from cosim.loading import load_scenario
 
-    chosen = _with_target(load_scenario(scenario), target_speed)
+    chosen = _with_target(_simulated(load_scenario(scenario), scenario), target_speed)
     from cosim.calibrate import Search, calibrate, parameters
     from cosim.traffic_figures import frame_of, table_of
 
@@ -75,6 +78,14 @@ def calibrate(
     say(f"{values}; misfit {best.misfit:.3f} (below 1: within the tolerances). {time.monotonic() - began:.0f} s.")
     say(f"Traffic file: {folder}/traffic.yaml")
     next_command(f"cosim realism {scenario} --against RECORDING")
+
+
+def _simulated(scenario: "Scenario", name: str) -> "Scenario":
+    from cosim.scenario import Simulated
+
+    if not isinstance(scenario.background, Simulated):
+        raise InputError(f"{name}: its background is a recording, which has no demand; choose a simulated one")
+    return scenario
 
 
 def _with_target(scenario: "Scenario", target_speed: float | None) -> "Scenario":
