@@ -4,7 +4,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from cosim.episode import COLUMNS, Ending
-from cosim.groups import SAME_LANE, MergeLanes, next_ahead
+from cosim.groups import SAME_LANE, MergeLanes
 from cosim.sumo import Snapshot
 
 _S, _D, _V = (COLUMNS.index(name) for name in ("s", "d", "v"))
@@ -13,15 +13,17 @@ State = Float[np.ndarray, "3 C"]
 Rows = Int[np.ndarray, " 3"]
 
 
-def car_following(before: State, now: State, snapshot: Snapshot, rows: Rows, third: bool = True) -> Ending | None:
+def car_following(
+    before: State, now: State, rows: Rows, ahead: Int[np.ndarray, " 2"], third: bool = True
+) -> Ending | None:
     """All three keep their lane and nobody comes between them, or else the group is broken up.
 
-    Without a `third` vehicle it is about the first two.
+    `ahead` are the rows of the next vehicles ahead of the first two. Without a `third` vehicle it is about these two.
     """
     if (np.abs(now[:, _D] - before[:, _D]) > SAME_LANE).any():
         return Ending.LANE_LEFT
-    behind, ahead = (rows[:2], rows[1:]) if third else (rows[:1], rows[1:2])
-    return None if (next_ahead(snapshot, behind) == ahead).all() else Ending.CUT_IN
+    pairs = 2 if third else 1
+    return None if (ahead[:pairs] == rows[1 : pairs + 1]).all() else Ending.CUT_IN
 
 
 def merging(

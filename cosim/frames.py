@@ -82,6 +82,14 @@ class RoadFrame:
         return np.clip(np.searchsorted(arc, s + self.origin, side="right") - 1, 0, len(direction) - 1)
 
 
+def without_straight_vertices(line: Float[np.ndarray, "M 2"]) -> Float[np.ndarray, "K 2"]:
+    """The same polyline without vertices at which it goes straight on; projections cost less."""
+    direction = np.diff(line, axis=0)
+    direction /= np.hypot(direction[:, 0], direction[:, 1])[:, None]
+    turn = direction[:-1, 0] * direction[1:, 1] - direction[:-1, 1] * direction[1:, 0]
+    return line[np.concatenate([[True], np.abs(turn) > 1e-12, [True]])]
+
+
 def model_offsets(length: Float[np.ndarray, "G 3"], order: tuple[int, ...] = (0, 1, 2)) -> Float[np.ndarray, "G 3"]:
     """What to add to `s` of each vehicle so that its headway is the net gap behind it plus `NOMINAL_LENGTH`.
 

@@ -4,11 +4,11 @@ from collections.abc import Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from cosim import endings
 from cosim.episode import COLUMNS, Ending, Event, EventKind
-from cosim.groups import Group, MergeLanes
+from cosim.groups import Group, MergeLanes, next_ahead
 from cosim.layouts import Pose
 from cosim.safety import overlaps
 from cosim.scenario import GroupRule, Merge
@@ -33,8 +33,8 @@ class Round:
     watched: int
     dt: float
     lanes: MergeLanes | None = None
-    undriven: str = "sumo"  # whose the vehicles are that no policy drives
     third: bool = True
+    undriven: str = "sumo"  # whose the vehicles are that no policy drives
 
     @property
     def vehicles(self) -> list[str]:
@@ -98,14 +98,17 @@ class Record:
         if not active:
             return
         touching = self._contacts(snapshot, frame, report)
+        ahead = next_ahead(snapshot, frame.rows[:, :2].ravel()).reshape(-1, 2)  # for all groups at once
         for g in active:
-            ending = self._ending(frame, before, snapshot, g, g in touching)
+            ending = self._ending(frame, before, snapshot, ahead[g], g, g in touching)
             if ending is None and last:
                 ending = Ending.LATE if isinstance(self._task.rule, Merge) else Ending.HORIZON
             if ending is not None:
                 self.endings[g], self.ends[g] = ending, frame.time
 
-    def _ending(self, frame: Frame, before: Frame, snapshot: Snapshot, g: int, touching: bool) -> Ending | None:
+    def _ending(
+        self, frame: Frame, before: Frame, snapshot: Snapshot, ahead: Int[np.ndarray, " 2"], g: int, touching: bool
+    ) -> Ending | None:
         if touching:
             return Ending.CONTACT
         if not frame.valid[g].all():
@@ -113,11 +116,11 @@ class Record:
         if not all(snapshot.lane[frame.rows[g, role]] for role in self._task.owned):
             return Ending.OFF_ROAD
         rows = frame.rows[g] if self._task.third else frame.rows[g][[0, 1, 1]]  # nobody comes between 1 and 1
-        seen = before.state[g], frame.state[g], snapshot, rows
+        states = before.state[g], frame.state[g]
         if not isinstance(self._task.rule, Merge):
-            return endings.car_following(*seen, self._task.third)
+            return endings.car_following(*states, frame.rows[g], ahead, self._task.third)
         assert self._task.lanes is not None, "a merge takes place between two lanes"
-        ending = endings.merging(*seen, self._task.lanes, float(self._width[g, 0]), self._task.dt)
+        ending = endings.merging(*states, snapshot, rows, self._task.lanes, float(self._width[g, 0]), self._task.dt)
         if ending is not Ending.MERGED:
             self._inside[g] = 0
             return ending
@@ -141,12 +144,18 @@ class Record:
                 (EventKind.SUMO_COLLISION, theirs),
                 (EventKind.DISAGREEMENT, ours ^ theirs),
             ):
-                mine = sorted(tuple(sorted(pair)) for pair in pairs if pair & members)
+                mine = sorted(_rear_first(snapshot, pair) for pair in pairs if pair & members)
                 self.events[g] += [Event(frame.time, kind, pair) for pair in mine]
             self.events[g] += [Event(frame.time, EventKind.TELEPORT, (v,)) for v in report.teleported if v in members]
             if any(pair & members for pair in ours):
                 touching.add(g)
         return touching
+
+
+def _rear_first(snapshot: Snapshot, pair: frozenset[str]) -> tuple[str, ...]:
+    """The two vehicles, the one that is farther back (as far as it was seen) first: it drove into the other."""
+    rows = snapshot.rows(sorted(pair))
+    return tuple(sorted(pair, key=lambda vehicle: (snapshot.s[rows[vehicle]] if vehicle in rows else np.inf, vehicle)))
 
 
 def hard_braking(frames: Sequence[Frame], g: int, group: Group, owned: Sequence[int], end: float) -> tuple[Event, ...]:

@@ -16,12 +16,13 @@ import libsumo
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from cosim.frames import RoadFrame, heading_of, sumo_angle_of
+from cosim.frames import RoadFrame, heading_of, sumo_angle_of, without_straight_vertices
 
 _NO_CHECKS = 0  # speed mode: SUMO neither bounds nor corrects the commanded speed
 _NO_CHANGES = 0  # lane-change mode: SUMO never changes the vehicle's lane
 _KEEP_ROUTE_EXACT_POSITION = 3  # moveToXY: keep the route (1) and do not snap to the lane (2)
 _GIVEN_LANE_EXACT_POSITION = 2  # moveToXY: on the edge and lane that the call names, and do not snap to it
+_LOOK_AROUND = 5  # steps between two looks at everybody; nobody comes 30 m nearer to anybody in between
 _TWIN = "twin:"  # prefix of the ids of twins
 
 _NATIVE_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
@@ -74,6 +75,10 @@ class Strip:
     width: float
 
 
+# ids, world points [V, 2], s and d of some vehicles
+_Positions = tuple[tuple[str, ...], np.ndarray, np.ndarray, np.ndarray]
+
+
 class Sumo:
     """The running simulation. Obtained from `sumo(...)` only."""
 
@@ -81,6 +86,7 @@ class Sumo:
         self._sizes: dict[str, tuple[float, float]] = {}
         self._modes: dict[str, tuple[int, int]] = {}  # (speed mode, lane-change mode) before take-over
         self._twins: set[str] = set()  # vehicles that have one
+        self._around: _Around | None = None  # what the last snapshot around vehicles found
         self._commanded: set[str] = set()  # vehicles with a moveToXY since the last step
         self.before_step: Callable[[], None] | None = None  # called by `step` before anything moves
 
@@ -90,10 +96,13 @@ class Sumo:
             self.before_step()
         libsumo.simulationStep()
         self._commanded.clear()
+        arrived = libsumo.simulation.getArrivedIDList()
+        if self._around is not None:
+            self._around.stepped(libsumo.simulation.getDepartedIDList(), arrived)
         pairs = [(hit.collider, hit.victim) for hit in libsumo.simulation.getCollisions()]
         return StepReport(
             time=libsumo.simulation.getTime(),
-            arrived=_real(libsumo.simulation.getArrivedIDList()),
+            arrived=_real(arrived),
             teleported=_real(libsumo.simulation.getStartingTeleportIDList()),
             collisions=tuple(pair for pair in pairs if len(_real(pair)) == 2),
         )
@@ -101,15 +110,10 @@ class Sumo:
     def snapshot(self, road: RoadFrame, around: Sequence[str] | None = None) -> Snapshot:
         """Read every vehicle on the road network, or only those near the vehicles `around` (see `_near`)."""
         vehicle = libsumo.vehicle
-        ids = tuple(vehicle.getIDList())
-        if self._twins:
-            ids = _real(ids)
-        xy = np.array([vehicle.getPosition(v) for v in ids], dtype=float).reshape(-1, 2)
-        s, d = road.to_road(xy)
-        if around is not None:
-            wanted = set(around)
-            rows = np.flatnonzero(_near(s, d, np.array([row for row, v in enumerate(ids) if v in wanted], dtype=int)))
-            ids, xy, s, d = tuple(ids[row] for row in rows), xy[rows], s[rows], d[rows]
+        if around is None:
+            ids, xy, s, d = self._positions(road, _real(vehicle.getIDList()))
+        else:
+            ids, xy, s, d = self._positions_around(road, tuple(around))
         sizes = np.array([self._size(v) for v in ids], dtype=float).reshape(-1, 2)
         return Snapshot(
             time=libsumo.simulation.getTime(),
@@ -124,6 +128,22 @@ class Sumo:
             width=sizes[:, 1],
             lane=tuple(vehicle.getLaneID(v) for v in ids),
         )
+
+    def _positions(self, road: RoadFrame, ids: tuple[str, ...]) -> _Positions:
+        xy = np.array([libsumo.vehicle.getPosition(v) for v in ids], dtype=float).reshape(-1, 2)
+        return ids, xy, *road.to_road(xy)
+
+    def _positions_around(self, road: RoadFrame, around: tuple[str, ...]) -> _Positions:
+        """Asks everybody where they are only every `_LOOK_AROUND` steps; in between, those who can come near."""
+        last = self._around
+        if last is None or last.vehicles != around or last.age >= _LOOK_AROUND or last.count != _count():
+            ids, xy, s, d = self._positions(road, _real(libsumo.vehicle.getIDList()))
+            reach = _near(s, d, _rows(ids, around), along=30.0, across=4.0)
+            self._around = _Around(around, [ids[row] for row in np.flatnonzero(reach)], _count())
+        else:
+            ids, xy, s, d = self._positions(road, tuple(last.ids))
+        rows = np.flatnonzero(_near(s, d, _rows(ids, around)))
+        return tuple(ids[row] for row in rows), xy[rows], s[rows], d[rows]
 
     def _size(self, vehicle: str) -> tuple[float, float]:
         if vehicle not in self._sizes:
@@ -221,7 +241,7 @@ class Sumo:
             points += [point for k, point in enumerate(shape) if k or not points or points[-1] != point]
         line = np.array(points, dtype=float)
         before = np.diff(line[: start + 1], axis=0)
-        return RoadFrame(line, float(np.hypot(before[:, 0], before[:, 1]).sum()))
+        return RoadFrame(without_straight_vertices(line), float(np.hypot(before[:, 0], before[:, 1]).sum()))
 
     def strip(self, lane: str, road: RoadFrame) -> Strip:
         """Where a lane lies in the road frame; it must run along the road."""
@@ -234,13 +254,46 @@ class Sumo:
         libsumo.close()
 
 
+@dataclass
+class _Around:
+    """Who can come near the `vehicles` within a few steps: who was not far from them, and who entered since."""
+
+    vehicles: tuple[str, ...]
+    ids: list[str]
+    count: int  # of vehicles in the net that should be there; another number: somebody vanished
+    age: int = 0  # [steps]
+
+    def stepped(self, departed: Sequence[str], arrived: Sequence[str]) -> None:
+        gone = set(arrived)
+        self.ids = [vehicle for vehicle in [*self.ids, *_real(departed)] if vehicle not in gone]
+        self.count += len(departed) - len(arrived)
+        self.age += 1
+
+
 def _near(
-    s: Float[np.ndarray, " V"], d: Float[np.ndarray, " V"], rows: Int[np.ndarray, " R"]
+    s: Float[np.ndarray, " V"],
+    d: Float[np.ndarray, " V"],
+    rows: Int[np.ndarray, " R"],
+    along: float = 0,
+    across: float = 0,
 ) -> Bool[np.ndarray, " V"]:
-    """Who has to do with the vehicles `rows`: 80 m along their own lane, 25 m beside it, themselves included."""
-    along, across = np.abs(s[None] - s[rows][:, None]), np.abs(d[None] - d[rows][:, None])
-    near = ((along < 80) & (across < 2)) | ((along < 25) & (across < 6))
-    return np.any(near, axis=0, keepdims=True)[0]
+    """Who has to do with the vehicles `rows`: 80 m along their own lane, 25 m beside it, themselves included.
+
+    With `along` and `across`: who is at most so much farther away.
+    """
+    ds, dd = np.abs(s - s[rows, None]), np.abs(d - d[rows, None])
+    near = ((ds < 80 + along) & (dd < 2 + across)) | ((ds < 25 + along) & (dd < 6 + across))
+    return near.any(axis=0)
+
+
+def _rows(ids: Sequence[str], wanted: Iterable[str]) -> Int[np.ndarray, " R"]:
+    """Rows of those of the wanted vehicles that are there."""
+    which = set(wanted)
+    return np.array([row for row, vehicle in enumerate(ids) if vehicle in which], dtype=int)
+
+
+def _count() -> int:
+    return libsumo.vehicle.getIDCount()
 
 
 def _real(ids: Iterable[str]) -> tuple[str, ...]:

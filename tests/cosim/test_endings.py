@@ -5,7 +5,7 @@ import pytest
 
 from cosim.endings import car_following, merging
 from cosim.episode import COLUMNS, Ending
-from cosim.groups import MergeLanes
+from cosim.groups import MergeLanes, next_ahead
 from cosim.sumo import Snapshot, Strip
 
 LANES = MergeLanes(Strip("weave_0", 100.0, 300.0, -8.0, 4.0), Strip("weave_1", 100.0, 300.0, -4.2, 3.6))
@@ -64,7 +64,10 @@ def test_a_merger_may_jump_to_the_other_lane_but_lag_and_leader_may_not():
 
 def test_car_following():
     chain, broken = snapshot((0, 10, 20), (0, 0, 0)), snapshot((0, 10, 20, 15), (0, 0, 0, 0))
-    assert car_following(state(chain), state(chain), chain, ROWS) is None
-    assert car_following(state(broken), state(broken), broken, ROWS) is Ending.CUT_IN
-    away = snapshot((0, 10, 20), (0, 3.5, 0))
-    assert car_following(state(chain), state(away), away, ROWS) is Ending.LANE_LEFT
+
+    def ending(before: Snapshot, now: Snapshot) -> Ending | None:
+        return car_following(state(before), state(now), ROWS, next_ahead(now, ROWS[:2]))
+
+    assert ending(chain, chain) is None
+    assert ending(broken, broken) is Ending.CUT_IN
+    assert ending(chain, snapshot((0, 10, 20), (0, 3.5, 0))) is Ending.LANE_LEFT

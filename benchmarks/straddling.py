@@ -1,0 +1,75 @@
+"""Do background vehicles drive into a vehicle that merges? Owned vehicles merge through dense traffic on both nets.
+
+Only the merger is driven (by the untrained merging driver); lag vehicle and leader are SUMO's, so that SUMO's drivers
+have to see a vehicle that is between two lanes. Once with twins (`cosim.twins`), once without, on the same groups. A
+contact counts as "into the owned vehicle" where the other one's front is farther back.
+
+    python benchmarks/straddling.py
+"""
+
+import argparse
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+from unittest.mock import patch
+
+import msgspec
+import torch
+
+from cosim import twins
+from cosim.closed_loop import Files, run
+from cosim.driving import Driver
+from cosim.episode import Ending, Episode, EventKind
+from cosim.inputs import find_net
+from cosim.loading import load_scenario
+from gri.merging import MergingDriver
+from gri.policy import IntelligentDriver
+
+DRIVER = Driver("merging driver", MergingDriver(IntelligentDriver(0.2)))
+
+
+def merges(site: str, seed: int, count: int) -> list[Episode]:
+    """So many merges of one seed, or as many as there are in half an hour."""
+    scenario = load_scenario(f"{site}_merge")
+    scenario = msgspec.structs.replace(scenario, seed=seed, episodes=count, driven=(0,), time_limit=1800.0)
+    with tempfile.TemporaryDirectory() as scratch:
+        files = Files(find_net(scenario.net), Path(scratch, "r.rou.xml"), Path(scratch, "sumo.log"))
+        return list(run(scenario, files, DRIVER, lambda *_: None).episodes)
+
+
+def outcome(episode: Episode) -> str:
+    """How a merge ended; for a contact, who drove into whom."""
+    if episode.ending is not Ending.CONTACT:
+        return episode.ending.value
+    hit = next(event for event in episode.events if event.kind is EventKind.CONTACT)
+    background = hit.vehicles[0] != episode.group.ids[0]  # the one that is farther back stands first
+    return f"contact: {'background into the owned vehicle' if background else 'owned vehicle into the background'}"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--sites", nargs="+", default=["us101", "i80"])
+    parser.add_argument("--seeds", nargs="+", type=int, default=[1, 2])
+    parser.add_argument("--count", type=int, default=25, help="merges per site and seed")
+    options = parser.parse_args()
+    torch.set_num_threads(1)
+    for with_twins in (True, False):
+        found: Counter[str] = Counter()
+        disagreements, began = 0, time.monotonic()
+        for site in options.sites:
+            for seed in options.seeds:
+                mechanism = twins.place if with_twins else lambda *_: ""
+                with patch("cosim.twins.place", mechanism):
+                    episodes = merges(site, seed, options.count)
+                found.update(outcome(episode) for episode in episodes)
+                kinds = [event.kind for episode in episodes for event in episode.events]
+                disagreements += kinds.count(EventKind.DISAGREEMENT)
+        print(f"{'with' if with_twins else 'without'} twins: {found.total()} merges, {time.monotonic() - began:.0f} s")
+        for name, count in found.most_common():
+            print(f"  {name}: {count}")
+        print(f"  steps in which only one of SUMO and the box test saw a contact: {disagreements}")
+
+
+if __name__ == "__main__":
+    main()
