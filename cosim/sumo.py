@@ -283,7 +283,7 @@ def _near(
     """
     ds, dd = np.abs(s - s[rows, None]), np.abs(d - d[rows, None])
     near = ((ds < 80 + along) & (dd < 2 + across)) | ((ds < 25 + along) & (dd < 6 + across))
-    return near.any(axis=0)
+    return np.any(near, axis=0, keepdims=True)[0]
 
 
 def _rows(ids: Sequence[str], wanted: Iterable[str]) -> Int[np.ndarray, " R"]:
