@@ -25,7 +25,8 @@ from cosim.perturb.start import Infeasible
 from cosim.record import Round
 from cosim.replay import Player, tracks_of, without_demand
 from cosim.scenario import Merge, Replay, Scenario
-from cosim.sumo import Snapshot, Sumo, sumo
+from cosim.snapshot import Snapshot
+from cosim.sumo import Sumo, sumo
 from cosim.traffic import arguments, route_file
 from gri.errors import InputError
 

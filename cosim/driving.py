@@ -22,7 +22,8 @@ from cosim.pilot import Pilot
 from cosim.record import Record, Round, hard_braking
 from cosim.scenario import GraphSource, Inferred
 from cosim.seen import Frame
-from cosim.sumo import Snapshot, Sumo
+from cosim.snapshot import Snapshot
+from cosim.sumo import Sumo
 from gri.graph import InteractionGraph
 from gri.policy import Policy
 

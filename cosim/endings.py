@@ -5,7 +5,7 @@ from jaxtyping import Bool, Float, Int
 
 from cosim.episode import COLUMNS, Ending
 from cosim.groups import SAME_LANE, MergeLanes
-from cosim.sumo import Snapshot
+from cosim.snapshot import Snapshot
 
 _S, _D, _V = (COLUMNS.index(name) for name in ("s", "d", "v"))
 

@@ -13,7 +13,7 @@ from jaxtyping import Int
 
 from cosim.safety import net_gap
 from cosim.scenario import CarFollowing, Merge
-from cosim.sumo import Snapshot, Strip
+from cosim.snapshot import Snapshot, Strip
 from gri.graph import EdgeType
 
 SAME_LANE = 1.0  # [m] of lateral distance; lanes are wider than 3 m, vehicles keep to their centres

@@ -4,7 +4,7 @@ It is decided from the last snapshot of the undisturbed history, for all policie
 step in whatever branch drives the round.
 """
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -31,7 +31,8 @@ from cosim.perturb.start import (
 from cosim.record import Round
 from cosim.scenario import CarFollowing, Scenario
 from cosim.seen import Frame
-from cosim.sumo import Snapshot, Sumo
+from cosim.snapshot import Snapshot
+from cosim.sumo import Sumo
 
 PHANTOM_AHEAD = 500.0  # [m], where the phantom of a removed vehicle drives
 _S, _D, _X, _Y, _HEADING, _V, _A = (COLUMNS.index(name) for name in ("s", "d", "x", "y", "heading", "v", "a"))
@@ -163,9 +164,11 @@ def prepare(scenario: Scenario, now: Snapshot, task: Round) -> Intervention:
     """Decide what the scenario's perturbations do to the groups of a round, and which starts are infeasible."""
     friction = min((s.intensity for s in scenario.perturbations if isinstance(s, LowFriction)), default=np.inf)
     changes, groups, excluded = [], [], []
+    busy = set(task.vehicles)
     for group in task.groups:
-        found = _change(scenario, now, task, group, min(BRAKING, friction * GRAVITY))
+        found = _change(scenario, now, task, group, busy, min(BRAKING, friction * GRAVITY))
         if isinstance(found, Change):
+            busy |= {found.successor} if found.successor is not None else set()
             groups.append(group)
             changes.append(found)
         else:
@@ -180,8 +183,10 @@ def prepare(scenario: Scenario, now: Snapshot, task: Round) -> Intervention:
     )
 
 
-def _change(scenario: Scenario, now: Snapshot, task: Round, group: Group, hardest: float) -> Change | Infeasible:
-    """What happens to one group, or why it cannot."""
+def _change(
+    scenario: Scenario, now: Snapshot, task: Round, group: Group, busy: Set[str], hardest: float
+) -> Change | Infeasible:
+    """What happens to one group, or why it cannot; who is `busy` cannot be made to cut in."""
     rows = np.array([now.ids.index(vehicle) for vehicle in group.ids])
     everyone = Cars(now.s, now.d, now.v, now.length, now.width)
     outside = ~np.isin(np.arange(len(now.ids)), rows)
@@ -209,9 +214,11 @@ def _change(scenario: Scenario, now: Snapshot, task: Round, group: Group, hardes
                 plan = braking(group.ids[2], s, d, v, spec, task.dt)
             case NeighbourCutIn():
                 behind = order_of(task.rule)[1]
-                row = cutter(after, behind, others, spec)
+                free = np.array([vehicle not in busy for vehicle in names])
+                row = cutter(after, behind, others[free], spec)
                 if row is None:
                     return Infeasible.NO_NEIGHBOUR
+                row = int(np.flatnonzero(free)[row])
                 successor = names[row]
                 own = float(others.s[row]), float(others.d[row]), float(others.v[row])
                 plan = cutting_in(successor, own, float(after.d[2]), float(after.v[behind]), spec, task.dt)

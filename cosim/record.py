@@ -13,7 +13,8 @@ from cosim.layouts import Pose
 from cosim.safety import overlaps
 from cosim.scenario import GroupRule, Merge
 from cosim.seen import Frame
-from cosim.sumo import Snapshot, StepReport, Sumo
+from cosim.snapshot import Snapshot, StepReport
+from cosim.sumo import Sumo
 
 PLACEMENT_TOLERANCE = 1e-6  # [m], [m/s]
 HARD_BRAKING = 4.5  # [m/s^2]

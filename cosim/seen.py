@@ -8,7 +8,7 @@ from jaxtyping import Bool, Float, Int
 
 from cosim.episode import COLUMNS
 from cosim.groups import Group
-from cosim.sumo import Snapshot
+from cosim.snapshot import Snapshot
 
 
 @dataclass(frozen=True)

@@ -9,14 +9,13 @@ commanded one only if `setSpeed` goes with it and the safety checks are off.
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
 
 import libsumo
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from cosim.frames import RoadFrame, heading_of, sumo_angle_of, without_straight_vertices
+from cosim.snapshot import Around, Snapshot, StepReport, Strip, near, rows_of
 
 _NO_CHECKS = 0  # speed mode: SUMO neither bounds nor corrects the commanded speed
 _NO_CHANGES = 0  # lane-change mode: SUMO never changes the vehicle's lane
@@ -32,49 +31,6 @@ class SumoError(RuntimeError):
     """SUMO refused or failed; the message is SUMO's own."""
 
 
-@dataclass(frozen=True)
-class Snapshot:
-    """All vehicles at one instant, in SUMO's order of ids. World frame and road frame of cosim/frames.py, SI units."""
-
-    time: float
-    ids: tuple[str, ...]
-    xy: Float[np.ndarray, "V 2"]
-    heading: Float[np.ndarray, " V"]
-    v: Float[np.ndarray, " V"]
-    a: Float[np.ndarray, " V"]
-    s: Float[np.ndarray, " V"]
-    d: Float[np.ndarray, " V"]
-    length: Float[np.ndarray, " V"]
-    width: Float[np.ndarray, " V"]
-    lane: tuple[str, ...]
-
-    def rows(self, ids: Sequence[str]) -> dict[str, int]:
-        """Row of each id that is present."""
-        where = {vehicle: row for row, vehicle in enumerate(self.ids)}
-        return {vehicle: where[vehicle] for vehicle in ids if vehicle in where}
-
-
-@dataclass(frozen=True)
-class StepReport:
-    """What SUMO says happened in one step; `collisions` are (collider, victim)."""
-
-    time: float
-    arrived: tuple[str, ...]
-    teleported: tuple[str, ...]
-    collisions: tuple[tuple[str, str], ...]
-
-
-@dataclass(frozen=True)
-class Strip:
-    """A lane in the road frame: from `begin` to `end` [m], its centre at `centre` [m] to the left, its width [m]."""
-
-    lane: str
-    begin: float
-    end: float
-    centre: float
-    width: float
-
-
 # ids, world points [V, 2], s and d of some vehicles
 _Positions = tuple[tuple[str, ...], np.ndarray, np.ndarray, np.ndarray]
 
@@ -86,7 +42,7 @@ class Sumo:
         self._sizes: dict[str, tuple[float, float]] = {}
         self._modes: dict[str, tuple[int, int]] = {}  # (speed mode, lane-change mode) before take-over
         self._twins: set[str] = set()  # vehicles that have one
-        self._around: _Around | None = None  # what the last snapshot around vehicles found
+        self._around: Around | None = None  # what the last snapshot around vehicles found
         self._commanded: set[str] = set()  # vehicles with a moveToXY since the last step
         self.before_step: Callable[[], None] | None = None  # called by `step` before anything moves
 
@@ -98,7 +54,8 @@ class Sumo:
         self._commanded.clear()
         arrived = libsumo.simulation.getArrivedIDList()
         if self._around is not None:
-            self._around.stepped(libsumo.simulation.getDepartedIDList(), arrived)
+            departed = libsumo.simulation.getDepartedIDList()
+            self._around.stepped(_real(departed), arrived, len(departed) - len(arrived))
         pairs = [(hit.collider, hit.victim) for hit in libsumo.simulation.getCollisions()]
         return StepReport(
             time=libsumo.simulation.getTime(),
@@ -138,11 +95,11 @@ class Sumo:
         last = self._around
         if last is None or last.vehicles != around or last.age >= _LOOK_AROUND or last.count != _count():
             ids, xy, s, d = self._positions(road, _real(libsumo.vehicle.getIDList()))
-            reach = _near(s, d, _rows(ids, around), along=30.0, across=4.0)
-            self._around = _Around(around, [ids[row] for row in np.flatnonzero(reach)], _count())
+            reach = near(s, d, rows_of(ids, around), along=30.0, across=4.0)
+            self._around = Around(around, [ids[row] for row in np.flatnonzero(reach)], _count())
         else:
             ids, xy, s, d = self._positions(road, tuple(last.ids))
-        rows = np.flatnonzero(_near(s, d, _rows(ids, around)))
+        rows = np.flatnonzero(near(s, d, rows_of(ids, around)))
         return tuple(ids[row] for row in rows), xy[rows], s[rows], d[rows]
 
     def _size(self, vehicle: str) -> tuple[float, float]:
@@ -254,51 +211,13 @@ class Sumo:
         libsumo.close()
 
 
-@dataclass
-class _Around:
-    """Who can come near the `vehicles` within a few steps: who was not far from them, and who entered since."""
-
-    vehicles: tuple[str, ...]
-    ids: list[str]
-    count: int  # of vehicles in the net that should be there; another number: somebody vanished
-    age: int = 0  # [steps]
-
-    def stepped(self, departed: Sequence[str], arrived: Sequence[str]) -> None:
-        gone = set(arrived)
-        self.ids = [vehicle for vehicle in [*self.ids, *_real(departed)] if vehicle not in gone]
-        self.count += len(departed) - len(arrived)
-        self.age += 1
-
-
-def _near(
-    s: Float[np.ndarray, " V"],
-    d: Float[np.ndarray, " V"],
-    rows: Int[np.ndarray, " R"],
-    along: float = 0,
-    across: float = 0,
-) -> Bool[np.ndarray, " V"]:
-    """Who has to do with the vehicles `rows`: 80 m along their own lane, 25 m beside it, themselves included.
-
-    With `along` and `across`: who is at most so much farther away.
-    """
-    ds, dd = np.abs(s - s[rows, None]), np.abs(d - d[rows, None])
-    near = ((ds < 80 + along) & (dd < 2 + across)) | ((ds < 25 + along) & (dd < 6 + across))
-    return np.any(near, axis=0, keepdims=True)[0]
-
-
-def _rows(ids: Sequence[str], wanted: Iterable[str]) -> Int[np.ndarray, " R"]:
-    """Rows of those of the wanted vehicles that are there."""
-    which = set(wanted)
-    return np.array([row for row, vehicle in enumerate(ids) if vehicle in which], dtype=int)
+def _real(ids: Iterable[str]) -> tuple[str, ...]:
+    """Without twins."""
+    return tuple(vehicle for vehicle in ids if not vehicle.startswith(_TWIN))
 
 
 def _count() -> int:
     return libsumo.vehicle.getIDCount()
-
-
-def _real(ids: Iterable[str]) -> tuple[str, ...]:
-    """Without twins."""
-    return tuple(vehicle for vehicle in ids if not vehicle.startswith(_TWIN))
 
 
 _running = False

@@ -7,7 +7,7 @@ import pandas as pd
 
 from cosim.closed_loop import Files, Tell, prepared, simulation
 from cosim.scenario import Scenario
-from cosim.sumo import Snapshot
+from cosim.snapshot import Snapshot
 from cosim.traffic import route_file
 
 TELL_EVERY = 100  # steps

@@ -13,7 +13,8 @@ from jaxtyping import Bool
 
 from cosim.frames import RoadFrame
 from cosim.groups import MergeLanes
-from cosim.sumo import Snapshot, Sumo
+from cosim.snapshot import Snapshot
+from cosim.sumo import Sumo
 
 CLEARANCE = 0.5  # [m] a twin in the target lane keeps from those who are there; it must not push anybody
 

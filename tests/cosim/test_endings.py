@@ -6,7 +6,7 @@ import pytest
 from cosim.endings import car_following, merging
 from cosim.episode import COLUMNS, Ending
 from cosim.groups import MergeLanes, next_ahead
-from cosim.sumo import Snapshot, Strip
+from cosim.snapshot import Snapshot, Strip
 
 LANES = MergeLanes(Strip("weave_0", 100.0, 300.0, -8.0, 4.0), Strip("weave_1", 100.0, 300.0, -4.2, 3.6))
 ROWS = np.arange(3)

@@ -7,7 +7,7 @@ import pytest
 
 from cosim.groups import next_ahead, select
 from cosim.scenario import CarFollowing, Merge
-from cosim.sumo import Snapshot
+from cosim.snapshot import Snapshot
 
 RULE = CarFollowing(min_gap=2, max_gap=45, max_time_gap=2.5, min_speed=1)
 ZONE = (0.0, 600.0)

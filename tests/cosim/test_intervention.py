@@ -7,9 +7,14 @@ import pytest
 
 from cosim.branch import CAN_FORK
 from cosim.episode import COLUMNS, Ending, EventKind
+from cosim.groups import Group
+from cosim.intervention import prepare
+from cosim.loading import load_scenario
 from cosim.perturb.specs import KINDS
 from cosim.perturb.start import Infeasible
+from cosim.record import Round
 from cosim.results import events_table, steps_table
+from cosim.snapshot import Snapshot
 from gri.graph import EdgeType
 from gri.policy import ConstantVelocity, IntelligentDriver
 
@@ -150,6 +155,41 @@ def test_who_cuts_in_becomes_the_leader(scenario, simulate):
             assert abs(episode.feature("d")[first + 1, 2] - episode.feature("d")[k, 2]) < 1.0
     assert swapped
     assert [e.ending for e in outcome.episodes].count(Ending.HORIZON) >= 1
+
+
+def test_nobody_cuts_in_for_two_groups_or_out_of_one():
+    """Two groups side by side: between them, each sees the other's vehicles in its gap, and only they fit."""
+    now = snapshot(
+        *(("a" + str(k), 100.0 + 30 * k, 0.0) for k in range(3)),
+        *(("b" + str(k), 112.0 + 30 * k, -3.66) for k in range(3)),
+        ("free", 150.0, 3.66),
+    )
+    found = prepare(*asked(now, "a0 a1 a2", "b0 b1 b2"))
+    assert [change.successor for change in found.changes] == ["free"]
+    assert [reason for _, reason in found.excluded] == [Infeasible.NO_NEIGHBOUR]
+    middle = snapshot(
+        *(("a" + str(k), 100.0 + 30 * k, 3.66) for k in range(3)),
+        *(("b" + str(k), 100.0 + 30 * k, -3.66) for k in range(3)),
+        ("free", 150.0, 0.0),
+    )
+    found = prepare(*asked(middle, "a0 a1 a2", "b0 b1 b2"))
+    assert [change.successor for change in found.changes] == ["free"]
+    assert len(found.excluded) == 1
+
+
+def snapshot(*vehicles: tuple[str, float, float]) -> Snapshot:
+    """Everybody at 10 m/s along the x axis."""
+    ids = tuple(name for name, _, _ in vehicles)
+    s, d = (np.array([vehicle[k] for vehicle in vehicles]) for k in (1, 2))
+    n = np.ones(len(ids))
+    return Snapshot(0.0, ids, np.stack([s, d], 1), 0 * n, 10 * n, 0 * n, s, d, 5 * n, 1.8 * n, ("e_0",) * len(ids))
+
+
+def asked(now: Snapshot, *groups: str):
+    """What `prepare` is asked when these groups are to meet a neighbour that cuts in."""
+    scenario = under(load_scenario("us101_car_following"), neighbour_cut_in=0.0)
+    made = tuple(Group(tuple(ids.split()), 0.0) for ids in groups)
+    return scenario, now, Round(made, scenario.group, (0, 1), 40, 0, 0.2)
 
 
 def test_what_a_policy_cannot_see_it_cannot_heed(scenario, simulate):

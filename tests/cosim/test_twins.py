@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cosim.groups import MergeLanes
-from cosim.sumo import Snapshot, Strip
+from cosim.snapshot import Snapshot, Strip
 from cosim.twins import Booking, booking, is_free
 
 # A lane 4 m wide that ends at s = 300, centre at d = -8, and to its left one 3.6 m wide, centre at d = -4.2.

@@ -1,0 +1,92 @@
+"""What is read from the world: all vehicles, or some, at one instant; what happened in a step; where lanes lie.
+
+Plain values: whoever has them needs no simulation.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """All vehicles at one instant, in SUMO's order of ids. World frame and road frame of cosim/frames.py, SI units."""
+
+    time: float
+    ids: tuple[str, ...]
+    xy: Float[np.ndarray, "V 2"]
+    heading: Float[np.ndarray, " V"]
+    v: Float[np.ndarray, " V"]
+    a: Float[np.ndarray, " V"]
+    s: Float[np.ndarray, " V"]
+    d: Float[np.ndarray, " V"]
+    length: Float[np.ndarray, " V"]
+    width: Float[np.ndarray, " V"]
+    lane: tuple[str, ...]
+
+    def rows(self, ids: Sequence[str]) -> dict[str, int]:
+        """Row of each id that is present."""
+        where = {vehicle: row for row, vehicle in enumerate(self.ids)}
+        return {vehicle: where[vehicle] for vehicle in ids if vehicle in where}
+
+
+@dataclass(frozen=True)
+class StepReport:
+    """What SUMO says happened in one step; `collisions` are (collider, victim)."""
+
+    time: float
+    arrived: tuple[str, ...]
+    teleported: tuple[str, ...]
+    collisions: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
+class Strip:
+    """A lane in the road frame: from `begin` to `end` [m], its centre at `centre` [m] to the left, its width [m]."""
+
+    lane: str
+    begin: float
+    end: float
+    centre: float
+    width: float
+
+
+@dataclass
+class Around:
+    """Who can come near the `vehicles` within a few steps: who was not far from them, and who entered since."""
+
+    vehicles: tuple[str, ...]
+    ids: list[str]
+    count: int
+    """Vehicles that should be in the net, twins included; where there are more or fewer, somebody vanished."""
+    age: int = 0  # [steps]
+
+    def stepped(self, entered: Sequence[str], gone: Sequence[str], more: int) -> None:
+        """One step later; there are so many `more` vehicles in the net."""
+        self.ids = [vehicle for vehicle in [*self.ids, *entered] if vehicle not in set(gone)]
+        self.count += more
+        self.age += 1
+
+
+def near(
+    s: Float[np.ndarray, " V"],
+    d: Float[np.ndarray, " V"],
+    rows: Int[np.ndarray, " R"],
+    along: float = 0,
+    across: float = 0,
+) -> Bool[np.ndarray, " V"]:
+    """Who has to do with the vehicles `rows`: 80 m along their own lane, 25 m beside it, themselves included.
+
+    With `along` and `across`: who is at most so much farther away.
+    """
+    ds, dd = np.abs(s - s[rows, None]), np.abs(d - d[rows, None])
+    involved = ((ds < 80 + along) & (dd < 2 + across)) | ((ds < 25 + along) & (dd < 6 + across))
+    return np.any(involved, axis=0, keepdims=True)[0]
+
+
+def rows_of(ids: Sequence[str], wanted: Iterable[str]) -> Int[np.ndarray, " R"]:
+    """Rows of those of the wanted vehicles that are there."""
+    which = set(wanted)
+    return np.array([row for row, vehicle in enumerate(ids) if vehicle in which], dtype=int)
