@@ -90,6 +90,7 @@ def reproduce_command(
         Path | None, typer.Option(help="For table2: a folder of NGSIM files, or a scene file cut from them.")
     ] = None,
     quick: Annotated[bool, typer.Option(help="Few scenes and updates: shows that all runs, no more.")] = False,
+    finished: Annotated[bool, typer.Option("--finished", help="Take what is finished, train nothing.")] = False,
 ) -> None:
     """4. Train what a table or figure of the paper needs, and write it beside the printed figures."""
     from gri.publish import publish  # brings pandas and matplotlib, which the other commands need not wait for
@@ -99,7 +100,7 @@ def reproduce_command(
         return
     if target not in TABLES:
         raise InputError(f"got {target}, wanted one of {', '.join([*TABLES, 'table2'])}")
-    plan = Plan(target, seeds, test, out, cache, scenes, scenario, tuple(row or ()), quick, processes)  # type: ignore[arg-type]
+    plan = Plan(target, seeds, test, out, cache, scenes, scenario, tuple(row or ()), quick, processes, finished)  # type: ignore[arg-type]
     try:
         with Bar() as progress:
             written = publish(plan, progress)

@@ -2,6 +2,7 @@
 
 import json
 import time
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -51,6 +52,12 @@ def publish(plan: Plan, progress: Progress = silent) -> list[Path]:
     return [*written, path]
 
 
+def _seeds(wanted: Sequence[Job]) -> str:
+    """How many seeds the rows have: one number where all have as many."""
+    counts = Counter((job.scenario.name, job.row.name) for job in wanted).values()
+    return str(max(counts)) if len(set(counts)) == 1 else f"{min(counts)} to {max(counts)}"
+
+
 def _scenarios(wanted: Sequence[Job]) -> list[rows.Scenario]:
     return [rows.scenario_named(name) for name in dict.fromkeys(job.scenario.name for job in wanted)]
 
@@ -70,7 +77,7 @@ def _write(plan: Plan, frames: dict[str, pd.DataFrame], text: str) -> list[Path]
 def _scores(plan: Plan, wanted: Sequence[Job]) -> list[Path]:
     scores = tables.score_rows(wanted, plan.cache)
     scenes = ", ".join(str(count) for count in sorted(scores[scores["metric"] == "rmse_x"]["scenes"].unique()))
-    parts = [f"# {plan.target}: {plan.seeds} seeds, {scenes} test scenes\n", NOTES]
+    parts = [f"# {plan.target}: {_seeds(wanted)} seeds, {scenes} test scenes\n", NOTES]
     for scenario in _scenarios(wanted):
         parts += [f"## {scenario.title}\n", tables.markdown_table(scores, scenario) + "\n"]
         flips = tables.markdown_flips(scores, scenario)
@@ -83,7 +90,7 @@ def _scores(plan: Plan, wanted: Sequence[Job]) -> list[Path]:
 
 
 def _curves(plan: Plan, wanted: Sequence[Job], curves: pd.DataFrame) -> list[Path]:
-    parts = [f"# Out of distribution: success rate [%], mean over {plan.seeds} seeds\n", OOD_NOTES]
+    parts = [f"# Out of distribution: success rate [%], mean over {_seeds(wanted)} seeds\n", OOD_NOTES]
     for scenario in _scenarios(wanted):
         for front, title in FRONTS.items():
             parts += [f"## {scenario.title}. {title}\n", tables.markdown_curves(curves, scenario, front) + "\n"]

@@ -45,6 +45,8 @@ class Plan:
     """Only the rows of these names; none: all."""
     quick: bool = False
     processes: int = 2
+    finished: bool = False
+    """Take the rows and seeds that are done, and train nothing."""
 
 
 def command(plan: Plan) -> str:
@@ -52,7 +54,8 @@ def command(plan: Plan) -> str:
     parts = ["gri reproduce", plan.target, f"--seeds {plan.seeds}", f"--scenes {plan.scenes}"]
     parts += [f"--scenario {plan.scenario}"] if plan.scenario else []
     parts += [f'--row "{name}"' for name in plan.rows]
-    return " ".join([*parts, *(["--quick"] if plan.quick else [])])
+    parts += ["--quick"] if plan.quick else []
+    return " ".join([*parts, *(["--finished"] if plan.finished else [])])
 
 
 def jobs_of(plan: Plan) -> list[Job]:
@@ -88,6 +91,8 @@ def _job(plan: Plan, scenario: rows.Scenario, row: rows.Row, seed: int) -> Job:
 def make(plan: Plan, progress: Progress = silent) -> list[Job]:
     """Do all jobs that are not done yet; returns all of them."""
     wanted = jobs_of(plan)
+    if plan.finished:
+        return _finished(wanted, plan)
     for job in wanted:
         if not job.is_done(plan.cache) and not scenes_path(job.config.data, plan.scenes_folder).is_file():
             scenes_of(job.config.data, plan.scenes_folder, progress)
@@ -98,6 +103,13 @@ def make(plan: Plan, progress: Progress = silent) -> list[Job]:
         done += 1
         progress("rows and seeds", done, len(wanted), job.made(plan.cache)["seconds"])
     return wanted
+
+
+def _finished(wanted: Sequence[Job], plan: Plan) -> list[Job]:
+    done = [job for job in wanted if job.is_done(plan.cache)]
+    if not done:
+        raise InputError(f"got --finished, but nothing is finished in {plan.cache}; leave it out to train")
+    return done
 
 
 def _in_processes(missing: Sequence[Job], plan: Plan):
@@ -138,7 +150,7 @@ def provenance(plan: Plan, wanted: Sequence[Job], began: float) -> dict:
     return {
         "command": command(plan),
         "commit": commit(),
-        "seeds": list(range(plan.seeds)),
+        "seeds": sorted({job.seed for job in wanted}),
         "test_scenes": plan.scenes,
         "jobs": len(wanted),
         "training_seconds": round(sum(m["seconds"] for m in made), 1),

@@ -8,7 +8,7 @@ import msgspec
 import pandas as pd
 import pytest
 
-from gri import jobs, reproduce, rows, tables
+from gri import jobs, publish, reproduce, rows, tables
 from gri.errors import InputError
 from gri.jobs import Job
 from gri.ood import Front
@@ -115,6 +115,17 @@ def test_a_table_stands_beside_the_papers(tmp_path: Path):
     assert cells[:3] == ["Supervised", "0.0300 ± 0.0200 [0.0200, 0.0400]", "0.039 ± 0.016"]
     assert cells[5:9] == ["–", "–", "–", "–"]
     assert cells[9] == "2"
+
+
+def test_what_is_finished_can_be_taken_without_training(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    chosen = plan(tmp_path, seeds=2, rows=("GRI", "NRI"), finished=True)
+    with pytest.raises(InputError, match="nothing is finished"):
+        reproduce.make(chosen)
+    monkeypatch.setattr(Job, "is_done", lambda job, cache: job.row.name == "NRI" or job.seed == 1)
+    found = reproduce.make(chosen)
+    assert [(job.row.name, job.seed) for job in found] == [("NRI", 0), ("GRI", 1), ("NRI", 1)]
+    assert publish._seeds(found) == "1 to 2"
+    assert reproduce.command(chosen).endswith("--finished")
 
 
 def test_flips_are_told_by_their_least_seed():
