@@ -11,6 +11,7 @@ import typer
 
 from cosim import traffic_commands
 from cosim.batch import commands as batch_commands
+from cosim.stress.command import stress
 from cosim.terminal import Stages, console, errors, next_command, say
 from gri.errors import InputError
 
@@ -82,6 +83,7 @@ def report(
     next_command(f"python -c \"import pandas; print(pandas.read_parquet('{run}/steps.parquet'))\"")
 
 
+app.command()(stress)
 app.command()(batch_commands.batch)
 app.command()(batch_commands.results)
 

@@ -1,0 +1,1 @@
+"""Stress tests: policies under graded perturbations, on the same starts."""

@@ -1,0 +1,78 @@
+"""Curves over intensity, one figure per perturbation, in the manner of the paper's figures 8 to 11."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from cosim.batch.figures import Measure
+from cosim.perturb.specs import KINDS
+from cosim.stress.spec import NOMINAL, OF_TRAFFIC
+from cosim.stress.summary import MEASURES
+
+PANELS = ("success", "contact", "min_ttc", "min_gap", "jerk_95", "follower_braking")
+ACROSS = "lateral_change"  # instead of the jerk where vehicles change lanes
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "0.45", "#E69F00", "#56B4E9", "#882255")
+MARKERS = "osD^vXP*"
+STYLE: dict[Any, Any] = {
+    "figure.dpi": 150,
+    "font.size": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "svg.hashsalt": "cosim",
+    "savefig.bbox": "tight",
+}
+
+
+def draw(estimates: pd.DataFrame, kinds: list[str], folder: Path, *, across: bool) -> list[Path]:
+    """PNG and SVG of every perturbation's figure; `across`: vehicles change lanes."""
+    folder.mkdir(parents=True, exist_ok=True)
+    return [path for kind in kinds for path in _saved(curves(estimates, kind, across=across), folder / kind)]
+
+
+def _saved(figure: Figure, stem: Path) -> Iterator[Path]:
+    for suffix in (".png", ".svg"):
+        path = stem.with_suffix(suffix)
+        with matplotlib.rc_context(STYLE):
+            figure.savefig(path, metadata={"Date": None} if suffix == ".svg" else None)
+        yield path
+
+
+def curves(estimates: pd.DataFrame, kind: str, *, across: bool = False) -> Figure:
+    """Measures over the intensity of one perturbation, a line per policy with its 95 % band; hollow: undisturbed."""
+    spec, names = KINDS[kind], [ACROSS if across and name == "jerk_95" else name for name in PANELS]
+    measures = [next(measure for measure in MEASURES if measure.name == name) for name in names]
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(10, 5.6), layout="constrained")
+        axes = figure.subplots(2, 3, sharex=True)
+        for axis, measure in zip(axes.flat, measures, strict=True):
+            _panel(axis, estimates[estimates["measure"] == measure.name], kind, measure)
+        for axis in axes[-1]:
+            axis.set_xlabel(f"{spec.symbol} [{spec.unit}]" if spec.unit else spec.symbol)
+        handles, labels = axes[0][0].get_legend_handles_labels()
+        figure.legend(handles, labels, loc="outside lower center", ncol=len(labels), frameon=False)
+        figure.suptitle(f"{kind.replace('_', ' ')} (bands: 95 %; hollow: undisturbed)", x=0.01, ha="left")
+    return figure
+
+
+def _panel(axis: Axes, part: pd.DataFrame, kind: str, measure: Measure) -> None:
+    scale = 100.0 if measure.share else 1.0
+    neutral = None if kind in OF_TRAFFIC else KINDS[kind].neutral
+    for k, policy in enumerate(dict.fromkeys(part["policy"])):
+        mine = part[part["policy"] == policy]
+        line = mine[mine["perturbation"] == kind].sort_values("intensity")
+        colour, marker = COLOURS[k % len(COLOURS)], MARKERS[k % len(MARKERS)]
+        axis.plot(line["intensity"], scale * line["value"], color=colour, marker=marker, ms=4, lw=1.4, label=policy)
+        axis.fill_between(line["intensity"], scale * line["low"], scale * line["high"], color=colour, alpha=0.15, lw=0)
+        nominal = mine[mine["perturbation"] == NOMINAL]
+        if neutral is not None and len(nominal):
+            axis.plot(neutral, scale * nominal["value"].iloc[0], marker=marker, ms=5, mfc="white", color=colour)
+    axis.set_ylabel(f"{measure.title} [{'%' if measure.share else measure.unit}]")
+    if measure.share:
+        axis.set_ylim(-3, 103)
+    elif measure.name != ACROSS:
+        axis.set_ylim(bottom=0)

@@ -1,0 +1,131 @@
+"""One chunk of a stress test: one simulation, at each round a branch per cell and policy."""
+
+import dataclasses
+import os
+import tempfile
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import torch
+from msgspec.structs import replace
+
+from cosim.branch import CAN_FORK, fork
+from cosim.closed_loop import Files, RunningRoad, Trunk, simulation
+from cosim.driving import Driver, drive
+from cosim.groups import SAME_LANE, Group
+from cosim.inputs import find_net
+from cosim.intervention import prepare
+from cosim.policies import driver_of
+from cosim.record import Round
+from cosim.scenario import Scenario
+from cosim.snapshot import Snapshot
+from cosim.stress.rows import row_of
+from cosim.stress.spec import Cell, Chunk, perturbed
+from cosim.sumo import SumoError
+from cosim.traffic import route_file
+from gri.errors import InputError
+
+APART = 100.0  # [m] along one lane between two groups of a round, so that they do not meet
+BETWEEN_ROUNDS = 5  # looks, a second each
+
+Rows = list[dict[str, Any]]
+
+
+def stress_chunk(chunk: Chunk, path: Path, tell: Callable[..., None]) -> None:
+    """Compute a chunk and write its rows; the file appears whole or not at all."""
+    torch.set_num_threads(1)
+    rows = rows_of(chunk, tell)
+    partial = path.with_suffix(".partial")
+    pd.DataFrame(rows).assign(chunk=chunk.key, seed=chunk.scenario.seed).to_parquet(partial, index=False)
+    os.replace(partial, path)
+
+
+def rows_of(chunk: Chunk, tell: Callable[..., None]) -> Rows:
+    """A row per start, cell and policy."""
+    if not CAN_FORK:
+        raise InputError("stress tests share one warm-up by forking the process, which this system cannot")
+    scenario, rows, starts = chunk.scenario, [], 0
+    drivers = {name: driver_of(replace(scenario, policy=policy)) for name, policy in chunk.policies.items()}
+    cells = {cell: perturbed(scenario, cell) for cell in chunk.cells}
+    end = scenario.traffic.warm_up + scenario.time_limit
+    with tempfile.TemporaryDirectory() as scratch:
+        files = Files(find_net(scenario.net), Path(scratch, "routes.rou.xml"), Path(scratch, "sumo.log"))
+        files.routes.write_text(route_file(scenario.traffic, scenario.seed, end))
+        try:
+            with simulation(scenario, files) as road:
+                trunk = Trunk(road, scenario)
+                trunk.warm_up(lambda *_: None)
+                while starts < chunk.starts and trunk.time < end:
+                    history = _look(trunk)
+                    task = apart(trunk.find(history, limit=chunk.starts - starts), history[-1])
+                    if task.groups:
+                        starts += len(task.groups)
+                        rows += branches(road, history, task, cells, drivers)
+                        tell("starts", starts, chunk.starts)
+        except SumoError as error:
+            raise InputError(f"SUMO refused the scenario: {error}") from error
+    if starts < chunk.starts:
+        raise InputError(
+            f"group: found {starts} of {chunk.starts} starts within {scenario.time_limit:g} s (seed {scenario.seed});"
+            " loosen the group rule's gaps or raise time_limit"
+        )
+    return rows
+
+
+def _look(trunk: Trunk) -> tuple[Snapshot, ...]:
+    for _ in range(BETWEEN_ROUNDS - 1):
+        trunk.look()
+    return trunk.look()
+
+
+def apart(task: Round, now: Snapshot) -> Round:
+    """The round without groups that are within APART of one before them in the same lane."""
+    kept: list[Group] = []
+    place = {vehicle: (float(s), float(d)) for vehicle, s, d in zip(now.ids, now.s, now.d, strict=True)}
+
+    def near(one: Group, other: Group) -> bool:
+        pairs = [(place[a], place[b]) for a in one.ids for b in other.ids]
+        return any(abs(a[0] - b[0]) < APART and abs(a[1] - b[1]) < SAME_LANE for a, b in pairs)
+
+    for group in task.groups:
+        if not any(near(group, other) for other in kept):
+            kept.append(group)
+    return dataclasses.replace(task, groups=tuple(kept))
+
+
+def branches(
+    road: RunningRoad,
+    history: Sequence[Snapshot],
+    task: Round,
+    cells: dict[Cell, Scenario],
+    drivers: dict[str, Driver | None],
+) -> Rows:
+    """The rows of one round, each cell and policy in a branch of its own."""
+    rows: Rows = []
+    for cell, scenario in cells.items():
+        for name, driver in drivers.items():
+            labels = {"policy": name, "perturbation": cell.perturbation, "intensity": cell.intensity}
+            found = fork(lambda: branch_rows(road, history, task, scenario, driver)).result()  # noqa: B023
+            rows += [labels | row for row in found]
+    return rows
+
+
+def branch_rows(
+    road: RunningRoad, history: Sequence[Snapshot], task: Round, scenario: Scenario, driver: Driver | None
+) -> Rows:
+    """Drive a round under the scenario's perturbations; this changes the world."""
+    intervention = prepare(scenario, history[-1], task)
+    rows: Rows = [_labels(group) | {"infeasible": reason.value} for group, reason in intervention.excluded]
+    if not intervention.task.groups:
+        return rows
+    episodes = drive(road.world, road.frame, history, intervention.task, driver, intervention)
+    for episode, change in zip(episodes, intervention.changes, strict=True):
+        found = row_of(episode, change, history[-1], intervention.trace, task.owned, intervention.third_gone)
+        rows.append(_labels(episode.group) | {"infeasible": ""} | found)
+    return rows
+
+
+def _labels(group: Group) -> dict[str, Any]:
+    return {"start": " ".join(group.ids), "taken_at": group.time}

@@ -1,0 +1,112 @@
+"""A whole stress test: its chunks in worker processes, then tables and figures."""
+
+import json
+import multiprocessing
+import platform
+import subprocess
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import pandas as pd
+
+from cosim.inputs import checkpoint_path, find_net, sha256
+from cosim.scenario import Merge, Trained
+from cosim.stress import figures, summary, text
+from cosim.stress.spec import NOMINAL, PACKAGES, Chunk
+from cosim.worker import run_in_worker
+
+Tell = Callable[[str, int, int], None]
+
+
+def run_stress(chunks: Sequence[Chunk], folder: Path, workers: int, tell: Tell) -> tuple[pd.DataFrame, float]:
+    """The rows of all chunks in their order, and the seconds they took; finished ones are read from the folder."""
+    parts = folder / "chunks"
+    parts.mkdir(parents=True, exist_ok=True)
+    paths = {chunk.key: parts / f"{chunk.key}.parquet" for chunk in chunks}
+    starts = {chunk.key: chunk.starts if paths[chunk.key].is_file() else 0 for chunk in chunks}
+    total = sum(chunk.starts for chunk in chunks)
+    tell("starts", sum(starts.values()), total)
+
+    def compute(chunk: Chunk) -> None:
+        def told(_: str, done: int, __: int) -> None:
+            starts[chunk.key] = done
+            tell("starts", sum(starts.values()), total)
+
+        began, path = time.monotonic(), paths[chunk.key]
+        run_in_worker("cosim.stress.job:stress_chunk", chunk, path, log=path.with_suffix(".log"), tell=told)
+        path.with_suffix(".seconds").write_text(f"{time.monotonic() - began:.1f}\n")
+
+    with ThreadPoolExecutor(workers) as pool:
+        _finish([pool.submit(compute, chunk) for chunk in chunks if not paths[chunk.key].is_file()])
+    rows = pd.concat([pd.read_parquet(path) for path in paths.values()], ignore_index=True)
+    times = [path.with_suffix(".seconds") for path in paths.values()]
+    return rows, sum(float(path.read_text()) for path in times if path.is_file())
+
+
+def _finish(futures: Sequence[Future[None]]) -> None:
+    """Wait for all; on the first failure, or Ctrl-C, end the workers of the others."""
+    try:
+        wait(futures, return_when="FIRST_EXCEPTION")
+        for future in futures:
+            if future.done():
+                future.result()
+    except BaseException:
+        for future in futures:
+            future.cancel()
+        for process in multiprocessing.active_children():
+            process.terminate()
+        raise
+
+
+def publish(chunks: Sequence[Chunk], rows: pd.DataFrame, folder: Path, facts: dict[str, Any]) -> list[Path]:
+    """Write rows, estimates, differences, the report and the figures; returns the files."""
+    scenario, across = chunks[0].scenario, isinstance(chunks[0].scenario.group, Merge)
+    kinds = [kind for kind in dict.fromkeys(rows["perturbation"]) if kind != NOMINAL]
+    tables = {
+        "episodes": rows,
+        "counts": summary.counts(rows),
+        "estimates": summary.estimates(rows),
+        "differences": summary.differences(rows),
+    }
+    for name, table in tables.items():
+        table.to_parquet(folder / f"{name}.parquet", index=False)
+    title = f"Stress test: {scenario.description or scenario.net}"
+    report = folder / "stress.md"
+    report.write_text(
+        text.markdown(title, tables["counts"], tables["estimates"], tables["differences"], kinds), encoding="utf-8"
+    )
+    drawn = figures.draw(tables["estimates"], kinds, folder / "figures", across=across)
+    made = folder / "stress.json"
+    made.write_text(json.dumps(facts | provenance(chunks), indent=1) + "\n")
+    return [report, *(folder / f"{name}.parquet" for name in tables), *drawn, made]
+
+
+def provenance(chunks: Sequence[Chunk]) -> dict[str, Any]:
+    """What it takes to get the same rows again."""
+    trained = {name: driver for name, driver in chunks[0].policies.items() if isinstance(driver, Trained)}
+    return {
+        "commit": _commit(),
+        "seeds": sorted({chunk.scenario.seed for chunk in chunks}),
+        "scenario": msgspec.to_builtins(chunks[0].scenario),
+        "policies": msgspec.to_builtins(chunks[0].policies),
+        "chunks": {chunk.key: [f"{c.perturbation} {c.intensity}" for c in chunk.cells] for chunk in chunks},
+        "net_sha256": sha256(find_net(chunks[0].scenario.net)),
+        "checkpoint_sha256": {name: sha256(checkpoint_path(driver.checkpoint)) for name, driver in trained.items()},
+        "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
+    }
+
+
+def _commit() -> str:
+    """The commit of the source tree; "unknown" outside of one."""
+    try:
+        found = subprocess.run(
+            ["git", "rev-parse", "HEAD"], cwd=Path(__file__).parent, capture_output=True, text=True, check=True
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return found.stdout.strip()
