@@ -11,6 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from gri import checkpoint, resources
+from gri.data.recorded import recorded_scenes
 from gri.data.store import Splits, scenes_of, scenes_path
 from gri.display import Bar, console, next_command
 from gri.errors import InputError
@@ -64,14 +65,24 @@ def train_command(
 def evaluate_command(
     path: Annotated[Path, typer.Argument(metavar="CHECKPOINT", help="A checkpoint file, or a released one's name.")],
     scenes: ScenesOption = SCENES,
+    scene_file: Annotated[
+        Path | None, typer.Option(help="Score it on this scene file instead, e.g. one of `gri ngsim scenes`.")
+    ] = None,
+    split: Annotated[str | None, typer.Option(help="Of the scene file; default: all its scenes.")] = None,
 ) -> None:
     """3. Score a checkpoint on the test scenes it was not trained on."""
     path = path if path.suffix else resources.checkpoint(str(path))
     model, made = checkpoint.load(path), checkpoint.provenance(path)
     if "config" not in made:
         raise InputError(f"{path}: does not say which scenes it belongs to; evaluate one written by `gri train`")
-    splits = _scenes(msgspec.convert(made["config"], TrainConfig), scenes)
-    console.print(_table(path.stem, evaluate(model, splits.test), len(splits.test)))
+    config = msgspec.convert(made["config"], TrainConfig)
+    if scene_file is None:
+        test = _scenes(config, scenes).test
+    elif config.data.recorded is not None:
+        test = recorded_scenes(scene_file, config.data.recorded, split)[0]
+    else:
+        raise InputError(f"{path}: was trained on synthetic scenes; a scene file is for models of recorded traffic")
+    console.print(_table(path.stem, evaluate(model, test), len(test)))
     next_command("cosim --help")
 
 

@@ -42,6 +42,11 @@ class Dynamics:
         """Position of a state feature on the last axis."""
         return self.state.index(feature)
 
+    @property
+    def speed(self) -> int:
+        """Position of the speed along the road, or in the direction of travel, on the last axis."""
+        return self.index("v" if "v" in self.state else "vx")
+
 
 @lru_cache
 def _point_mass_1d_matrix(dt: float, dtype: torch.dtype) -> Tensor:

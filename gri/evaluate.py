@@ -8,9 +8,10 @@ from torch import Tensor
 
 from gri import graph_scores, metrics
 from gri.data.synthetic import Scenes
-from gri.graph import FOLLOWING, InteractionGraph, Vocabulary, pairs
+from gri.dynamics import Dynamics
+from gri.graph import FOLLOWING, YIELDING, InteractionGraph, Vocabulary, pairs
 from gri.metrics import Summary
-from gri.model import CHAIN, MERGE, RelationalModel
+from gri.model import CHAIN, MERGE, MERGE_BEHIND, RelationalModel
 from gri.rollout import rollout
 
 
@@ -42,9 +43,8 @@ def evaluate(model: RelationalModel, scenes: Scenes) -> Evaluation:
     chain = (scenes.graph == papers_graph(model.config.vocabulary)).all(-1)
     return Evaluation(
         rmse={
-            name: metrics.summary(metrics.rmse(driven.state, scenes.state, model.dynamics.index(name)))
-            for name in ("x", "y", "v")
-            if name in model.dynamics.state
+            name: metrics.summary(metrics.rmse(driven.state, scenes.state, place))
+            for name, place in features(model.dynamics).items()
         },
         accuracy=metrics.summary(metrics.accuracy(graph.map, scenes.graph)),
         driven_accuracy=metrics.summary(metrics.driven_accuracy(graph.map, scenes.graph)),
@@ -52,6 +52,11 @@ def evaluate(model: RelationalModel, scenes: Scenes) -> Evaluation:
         edge_accuracy={f"{i}->{j}": float(right[:, e].mean()) for e, (i, j) in enumerate(pairs(n))},
         f1=f1_by_type(graph, scenes),
     )
+
+
+def features(dynamics: Dynamics) -> dict[str, int]:
+    """Places of what the tables score: x, y where there is one, and the speed v."""
+    return {name: dynamics.index(name) for name in ("x", "y") if name in dynamics.state} | {"v": dynamics.speed}
 
 
 def f1_by_type(graph: InteractionGraph, scenes: Scenes) -> dict[str, float]:
@@ -70,5 +75,6 @@ def believed(model: RelationalModel, scenes: Scenes) -> InteractionGraph:
 
 def papers_graph(vocabulary: Vocabulary) -> Int[Tensor, " E"]:
     """Types of the one true graph of the paper's scene: the chain of followers, or the merge."""
-    edges = {(e.sender, e.receiver): e.type for e in (CHAIN if vocabulary == FOLLOWING else MERGE)}
+    graph = {FOLLOWING: CHAIN, YIELDING: MERGE_BEHIND}.get(vocabulary, MERGE)
+    edges = {(e.sender, e.receiver): e.type for e in graph}
     return InteractionGraph.of_edges(edges, vocabulary).map[0]

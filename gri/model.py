@@ -39,6 +39,19 @@ MERGE = (
 )
 
 
+MERGE_BEHIND = (
+    Edge(sender=1, receiver=0, type=EdgeType.YIELD),
+    Edge(sender=2, receiver=1, type=EdgeType.FOLLOW),
+)
+"""Recorded lane changes, the reading H1: 0 merges behind 1."""
+MERGE_BETWEEN = (
+    Edge(sender=2, receiver=0, type=EdgeType.YIELD),
+    Edge(sender=0, receiver=1, type=EdgeType.YIELD),
+    Edge(sender=2, receiver=1, type=EdgeType.FOLLOW),
+)
+"""Recorded lane changes, the reading H2: 0 merges between 1 and 2."""
+
+
 class ModelConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """All there is to know to rebuild a model from its tensors."""
 

@@ -9,8 +9,9 @@ point of collision, and g_time = ReLU(h − (T_i − T_j))² would have whoever 
 them.
 
 What the networks read is less than the paper's x_i, x_j: a reference for v_j that reads v_j can equal it, and the term
-says nothing any more. So h1 is one number, h2 reads the headway and v_i, h3 the two speeds. Outputs are softplus, a
-ReLU that cannot die.
+says nothing any more. So h1 is one number, h2 reads the headway and v_i, h3 the two speeds. Networks learn what h2 adds
+to v_i, and h3 to a headway that grows with v_j; begun without these, the likelihood drove h2 to 0. Outputs are
+softplus, a ReLU that cannot die.
 """
 
 import msgspec
@@ -29,9 +30,11 @@ class References(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     hidden: int = 16
     speed: float = 12.0
-    """h1 and h2 before training [m/s]."""
-    headway: float = 10.0
-    """h3 before training [m]."""
+    """h1 before training [m/s]."""
+    headway: float = 6.0
+    """h3 of standing vehicles before training [m]."""
+    time_headway: float = 0.8
+    """By how much h3 grows with v_j before training [s]."""
     distance: float = 10.0
     """h_d before training [m]."""
     time: float = 1.0
@@ -56,11 +59,11 @@ class ReferenceNetworks(nn.Module):
         super().__init__()
         self.config = config
         self.h1 = nn.Parameter(_before(config.speed / config.speed_unit))
-        self.h2 = _network(2, config.hidden, config.speed / config.speed_unit)
-        self.h3 = _network(2, config.hidden, config.headway / config.length_unit)
+        self.h2 = mlp([2, config.hidden, config.hidden, 1], last_scale=0.1)
+        self.h3 = mlp([2, config.hidden, config.hidden, 1], last_scale=0.1)
         if yielding:
-            self.h_d = _network(2, config.hidden, config.distance / config.length_unit)
-            self.h_t = _network(2, config.hidden, config.time / config.time_unit)
+            self.h_d = mlp([2, config.hidden, config.hidden, 1], last_scale=0.1)
+            self.h_t = mlp([2, config.hidden, config.hidden, 1], last_scale=0.1)
 
     def own_speed(self) -> Float[Tensor, ""]:
         """h1 [m/s]."""
@@ -69,40 +72,38 @@ class ReferenceNetworks(nn.Module):
     def speed(self, headway: Value, sender_speed: Value) -> Value:
         """h2 [m/s]."""
         c = self.config
-        return _answer(self.h2, headway / c.length_unit, sender_speed / c.speed_unit) * c.speed_unit
+        added = _answer(self.h2, (headway / c.length_unit).clamp(-2, 4), sender_speed / c.speed_unit)
+        return softplus(sender_speed / c.speed_unit + added) * c.speed_unit
 
     def headway(self, sender_speed: Value, receiver_speed: Value) -> Value:
         """h3 [m]."""
-        return self._by_speeds(self.h3, sender_speed, receiver_speed) * self.config.length_unit
+        c = self.config
+        begun = (c.headway + c.time_headway * receiver_speed) / c.length_unit
+        return softplus(begun + self._by_speeds(self.h3, sender_speed, receiver_speed)) * c.length_unit
 
     def distance(self, sender_speed: Value, receiver_speed: Value) -> Value:
         """h_d [m]."""
-        return self._by_speeds(self.h_d, sender_speed, receiver_speed) * self.config.length_unit
+        c = self.config
+        begun = _before(c.distance / c.length_unit)
+        return softplus(begun + self._by_speeds(self.h_d, sender_speed, receiver_speed)) * c.length_unit
 
     def time(self, sender_speed: Value, receiver_speed: Value) -> Value:
         """h_T [s]."""
-        return self._by_speeds(self.h_t, sender_speed, receiver_speed) * self.config.time_unit
+        c = self.config
+        begun = _before(c.time / c.time_unit)
+        return softplus(begun + self._by_speeds(self.h_t, sender_speed, receiver_speed)) * c.time_unit
 
     def _by_speeds(self, network: nn.Sequential, sender: Value, receiver: Value) -> Value:
         return _answer(network, sender / self.config.speed_unit, receiver / self.config.speed_unit)
 
 
 def _before(value: float) -> Tensor:
-    """What softplus makes the value of."""
+    """The number that softplus turns into this one."""
     return torch.tensor(value).expm1().log()
 
 
-def _network(inputs: int, hidden: int, start: float) -> nn.Sequential:
-    network = mlp([inputs, hidden, hidden, 1], last_scale=0.1)
-    last = network[-1]
-    assert isinstance(last, nn.Linear)
-    with torch.no_grad():
-        last.bias.copy_(_before(start))
-    return network
-
-
 def _answer(network: nn.Sequential, *inputs: Value) -> Value:
-    return softplus(network(torch.stack(torch.broadcast_tensors(*inputs), -1))[..., 0])
+    return network(torch.stack(torch.broadcast_tensors(*inputs), -1))[..., 0]
 
 
 def collision_point(

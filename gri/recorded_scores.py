@@ -11,7 +11,7 @@ from torch import Tensor
 from gri import graph_scores, metrics, ood, probes
 from gri.data.synthetic import Scenes
 from gri.dynamics import Dynamics
-from gri.evaluate import believed
+from gri.evaluate import believed, features
 from gri.graph import EdgeType, InteractionGraph, Vocabulary
 from gri.metrics import Summary
 from gri.model import RelationalModel
@@ -24,17 +24,11 @@ LENGTH = 4.6  # [m], of vehicles whose length was not recorded
 KEPT = {"car_following": (0, 1), "lane_changing_h1": (0, 1), "lane_changing_h2": (0, 2)}
 
 
-def speed_of(dynamics: Dynamics) -> int:
-    """Place of the speed along the road."""
-    return dynamics.index("v" if "v" in dynamics.state else "vx")
-
-
 def errors(
     state: Float[Tensor, "S N T D"], recorded: Float[Tensor, "S N T D"], dynamics: Dynamics
 ) -> dict[str, Tensor]:
     """Per scene: RMSE of position and speed, mean and final displacement [m]."""
-    places = {"x": 0, "v": speed_of(dynamics)} | ({"y": dynamics.index("y")} if "y" in dynamics.state else {})
-    found = {f"rmse_{name}": metrics.rmse(state, recorded, place) for name, place in places.items()}
+    found = {f"rmse_{name}": metrics.rmse(state, recorded, place) for name, place in features(dynamics).items()}
     away = displacement(state, recorded, dynamics)
     return found | {"ade": away.mean((1, 2)), "fde": away[:, :, -1].mean(1)}
 
@@ -62,7 +56,7 @@ def gaps(state: Float[Tensor, "S N T D"], length: Float[Tensor, "S N"]) -> Float
 
 def interaction(state: Float[Tensor, "S N T D"], length: Float[Tensor, "S N"], dynamics: Dynamics) -> dict[str, Tensor]:
     """Collisions, and headways in time [s] and accelerations [m/s²] of driven vehicles, of car following."""
-    gap, speed = gaps(state, length), state[:, :-1, :, speed_of(dynamics)]
+    gap, speed = gaps(state, length), state[:, :-1, :, dynamics.speed]
     moving = speed > 1.0
     return {
         "collision": (gap <= 0).any(2).any(1),

@@ -23,8 +23,12 @@ class RecordedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
 
     grounded: GroundedSettings
     reward_updates: int = 150
-    reward_rate: float = 0.02
+    reward_rate: float = 0.05
+    """Of weights and α."""
+    reference_rate: float = 3e-3
     reward_batch: int = 24
+    log_alpha: float = -1.5
+    """Logarithm of the drivers' rationality before training; people are less exact than 0 would have them."""
 
 
 def train_recorded(
@@ -58,11 +62,16 @@ def fit_references(
 ) -> None:
     """Maximise Σ_j log Σ_z p(z_j)·p(u_j | z_j) over weights, α and reference networks."""
     grounded, total = settings.grounded, settings.reward_updates
-    descent = Descent(reward.parameters(), settings.reward_rate, total, clip=1.0)
+    assert reward.references is not None, "recorded traffic wants a reward with references"
+    reward.log_alpha.data.fill_(settings.log_alpha)
+    to_references = Descent(reward.references.parameters(), settings.reference_rate, total, clip=1.0)
+    to_weights = Descent([*reward.psi.parameters(), reward.log_alpha], settings.reward_rate, total, clip=1.0)
     for update, chosen in enumerate(batches(len(scenes), settings.reward_batch, total, generator)):
         batch = scenes[chosen]
         likelihood = log_likelihood_by_steps(reward, expand_steps(model, reward, batch.state, batch.action, learn=True))
         prior = scene_prior(reward, batch.state, grounded.no_edge_prior, grounded.ahead_only)
         evidence = torch.logsumexp(likelihood + combination_prior(reward, prior, batch.action.shape[1]), -1).mean()
-        descent.step(-evidence)
+        gradients = to_references.gradients(-evidence, retain_graph=True)
+        to_weights.step(-evidence)
+        to_references.apply(gradients)
         progress("reward and references", update + 1, total, float(evidence.detach()))

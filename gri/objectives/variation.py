@@ -75,11 +75,12 @@ def shift(
 ) -> Float[Tensor, "B N D"]:
     """Half of the starts with every driven vehicle moved by its own amount; speeds stay at or above zero."""
     by_feature = {"x": shifts.position, "y": shifts.lateral, "v": shifts.speed, "a": shifts.acceleration}
+    by_feature |= {"vx": shifts.speed, "ax": shifts.acceleration}
     ranges = torch.tensor([by_feature.get(feature, (0.0, 0.0)) for feature in dynamics.state])
     amount = torch.rand(start.shape, generator=generator) * (ranges[:, 1] - ranges[:, 0]) + ranges[:, 0]
     amount[:, -1] = 0
     amount[len(amount) // 2 :] = 0
-    speed = dynamics.index("v")
+    speed = dynamics.speed
     moved = start + amount
     return torch.cat([moved[..., :speed], moved[..., speed : speed + 1].clamp(min=0), moved[..., speed + 1 :]], -1)
 
@@ -95,7 +96,7 @@ def augment(
     if augmentation.window:
         first = int(torch.randint(0, state.shape[2] - history_steps + 1, (1,), generator=generator))
         state = state[:, :, first : first + history_steps]
-    v = dynamics.index("v")
+    v = dynamics.speed
     position, speed = state[..., 0], state[..., v]
     headway = (position[:, 1:] - position[:, :-1]).mean(-1)  # Shape: (B, N−1), of the row from back to front
     low, high = augmentation.stretch

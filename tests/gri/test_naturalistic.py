@@ -13,10 +13,14 @@ def vehicle(*values: float) -> torch.Tensor:
 
 def test_references_begin_where_they_are_told_and_stay_positive():
     torch.manual_seed(0)
-    h = ReferenceNetworks(References(speed=9.0, headway=14.0), yielding=True)
+    h = ReferenceNetworks(References(speed=9.0, headway=6.0, time_headway=1.0, distance=20.0, time=2.0), yielding=True)
     speeds = torch.linspace(0, 30, 50)
     assert float(h.own_speed().detach()) == pytest.approx(9.0, rel=1e-4)
-    assert float(h.headway(speeds, speeds).detach().mean()) == pytest.approx(14.0, rel=0.2)
+    with torch.no_grad():  # softplus adds to small values: 15 m ln(1 + e^x) of x = (6 + v) / 15
+        expected = 15 * torch.log1p(((6 + speeds) / 15).exp())
+        torch.testing.assert_close(h.headway(speeds, speeds), expected, rtol=0.15, atol=0.5)
+        assert float(h.distance(speeds, speeds).mean()) == pytest.approx(20.0, rel=0.2)
+        assert float(h.time(speeds, speeds).mean()) == pytest.approx(2.0, rel=0.2)
     for values in (h.speed(speeds * 3 - 40, speeds), h.headway(speeds, 30 - speeds), h.time(speeds, speeds)):
         assert (values > 0).all()
 

@@ -88,9 +88,9 @@ def _motion(recording: Recording, rules: Rules, rejected: Counter[tuple[str, str
 def _scenes(kind: Kind, recording: Recording, motion: Motion, rules: Rules) -> tuple[SceneBlock, Counter[str]]:
     counts: Counter[str] = Counter()
     if reading := READINGS.get(kind):
-        rows, edges = groups(motion, rules, reading, counts), GRAPHS[reading]
+        rows, graph = groups(motion, rules, reading, counts), GRAPHS[reading]
     else:
-        rows, edges = triples(motion, rules, counts), {(e.sender, e.receiver): e.type for e in CHAIN}
+        rows, graph = triples(motion, rules, counts), CHAIN
     features = {name: getattr(motion, name)[rows] for name in ("x", "vx", "ax")}
     features |= {"v": features["vx"], "a": features["ax"]}  # along the road: headings were not recorded
     if len(motion) and np.ptp(motion.y) > 0:
@@ -105,7 +105,7 @@ def _scenes(kind: Kind, recording: Recording, motion: Motion, rules: Rules) -> t
         start=(motion.step[rows[:, 0, 0]] * rules.smoothing.every - first) * FRAME,
         vehicle=vehicle,
         features=features,
-        edges=np.broadcast_to(names_of(edges), (len(rows), 6)),
+        edges=np.broadcast_to(names_of({(e.sender, e.receiver): e.type for e in graph}), (len(rows), 6)),
         size={name: getattr(motion, name)[rows[:, :, 0]] for name in ("length", "width")},
     )
     return block, counts

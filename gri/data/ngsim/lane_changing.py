@@ -17,13 +17,10 @@ import numpy as np
 
 from gri.data.ngsim.rules import Rules, Sieve
 from gri.data.ngsim.smoothing import Motion
-from gri.graph import EdgeType
+from gri.model import MERGE_BEHIND, MERGE_BETWEEN, Edge
 
 Reading = Literal["H1", "H2"]
-GRAPHS: dict[Reading, dict[tuple[int, int], EdgeType]] = {
-    "H1": {(1, 0): EdgeType.YIELD, (2, 1): EdgeType.FOLLOW},
-    "H2": {(2, 0): EdgeType.YIELD, (0, 1): EdgeType.YIELD, (2, 1): EdgeType.FOLLOW},
-}
+GRAPHS: dict[Reading, tuple[Edge, ...]] = {"H1": MERGE_BEHIND, "H2": MERGE_BETWEEN}
 
 
 def groups(motion: Motion, rules: Rules, reading: Reading, counts: Counter[str]) -> np.ndarray:
