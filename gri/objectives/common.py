@@ -32,6 +32,13 @@ def squared_error(
     return ((state - recorded)[:, :-1, :, counted] ** 2).sum(-1)
 
 
+def action_error(
+    action: Float[Tensor, "B R T A"], recorded: Float[Tensor, "B R T A"], unit: Float[Tensor, " A"]
+) -> Float[Tensor, ""]:
+    """Mean squared error of actions in their units: positions alone hardly tell a smooth drive from a jittery one."""
+    return (((action - recorded) / unit) ** 2).mean()
+
+
 def categorical_kl(logits: Float[Tensor, "B E K"], prior: Float[Tensor, " K"]) -> Float[Tensor, "B E"]:
     """KL[q(z_ij|τ) || p(z_ij)] of each edge, in nats."""
     log_q = logits.log_softmax(-1)

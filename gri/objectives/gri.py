@@ -20,7 +20,7 @@ from gri.data.synthetic import Scenes, returns
 from gri.graph import InteractionGraph
 from gri.laplace import Expansion, combination_prior, expand, log_likelihood, marginals, scene_prior
 from gri.model import RelationalModel
-from gri.objectives.common import Descent, batches, reconstruction_loss
+from gri.objectives.common import Descent, action_error, batches, reconstruction_loss
 from gri.objectives.graphs import posterior_by_policy
 from gri.objectives.optima import OptimaSettings, distance, optimal_scenes
 from gri.objectives.variation import Augmentation, Shifts, augment, elsewhere
@@ -67,6 +67,8 @@ class GroundedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     return_weight: float = 0.02
     return_fade: float = 1.0
     """Share of the return's weight that is left at the end of its decline: reconstruction has the last word."""
+    action_weight: float = 0.0
+    """Weight of the squared error of actions, in units of the scale, beside that of states [m²]."""
     optima: OptimaSettings | None = None
     """Imitate optima of the return away from the data instead of climbing to them beside the reconstruction.
 
@@ -218,6 +220,8 @@ def fit_encoder_and_policy(
         believed = graph.one_hot if settings.reconstruction == "likely" else graph.sample(generator).detach()
         driven = rollout(model, batch.start, believed, batch.leader)
         loss = reconstruction_loss(driven.state, batch.state, model.dynamics)
+        if settings.action_weight:
+            loss = loss + settings.action_weight * action_error(driven.action, batch.action, model.decoder.action_unit)
         if optima is None:
             away = -grounded_return(model, reward, scenes, settings, settings.return_batch, generator)
         else:

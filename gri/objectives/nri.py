@@ -13,7 +13,15 @@ import torch
 from gri.data.synthetic import Scenes
 from gri.laplace import edge_prior
 from gri.model import RelationalModel
-from gri.objectives.common import Bottleneck, Descent, batches, categorical_kl, reconstruction_loss, updated_beta
+from gri.objectives.common import (
+    Bottleneck,
+    Descent,
+    action_error,
+    batches,
+    categorical_kl,
+    reconstruction_loss,
+    updated_beta,
+)
 from gri.progress import Progress, silent
 from gri.rollout import rollout
 
@@ -26,6 +34,8 @@ class NriSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     policy_rate: float = 3e-3
     encoder_rate: float = 1e-3
     temperature: float = 0.5
+    action_weight: float = 0.0
+    """Weight of the squared error of actions, in units of the scale, beside that of states [m²]."""
     bottleneck: Bottleneck = Bottleneck(rate=0.05)
     """β is smaller than in the game: the loss is in m² per step here, in nats per scene there."""
 
@@ -47,6 +57,10 @@ def train_nri(
         graph = model.infer(batch.seen)
         driven = rollout(model, batch.start, graph.sample(generator, settings.temperature), batch.leader)
         error = reconstruction_loss(driven.state, batch.state, model.dynamics)
+        if settings.action_weight:
+            error = error + settings.action_weight * action_error(
+                driven.action, batch.action, model.decoder.action_unit
+            )
         kl = categorical_kl(graph.logits, prior).mean()
         beta = updated_beta(beta, float(kl.detach()), settings.bottleneck)
         loss = error + beta * kl

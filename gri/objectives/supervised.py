@@ -5,7 +5,7 @@ import torch
 
 from gri.data.synthetic import Scenes
 from gri.model import RelationalModel
-from gri.objectives.common import Descent, batches, reconstruction_loss
+from gri.objectives.common import Descent, action_error, batches, reconstruction_loss
 from gri.progress import Progress, silent
 from gri.rollout import rollout
 
@@ -16,6 +16,8 @@ class SupervisedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True
     updates: int = 1500
     batch: int = 64
     learning_rate: float = 3e-3
+    action_weight: float = 0.0
+    """Weight of the squared error of actions, in units of the scale, beside that of states [m²]."""
 
 
 def train_supervised(
@@ -33,5 +35,7 @@ def train_supervised(
         batch = scenes[chosen]
         driven = rollout(model, batch.start, batch.one_hot(types), batch.leader)
         loss = reconstruction_loss(driven.state, batch.state, model.dynamics)
+        if settings.action_weight:
+            loss = loss + settings.action_weight * action_error(driven.action, batch.action, model.decoder.action_unit)
         descent.step(loss)
         progress("policy", update + 1, settings.updates, float(loss.detach()))

@@ -3,7 +3,7 @@ from math import log
 import torch
 
 from gri.dynamics import POINT_MASS_1D
-from gri.objectives.common import Descent, categorical_kl, reconstruction_loss
+from gri.objectives.common import Descent, action_error, categorical_kl, reconstruction_loss
 
 
 def test_kl_by_hand():
@@ -25,6 +25,13 @@ def test_reconstruction_counts_positions_and_speeds_of_driven_vehicles():
     state[0, 0, 1] = torch.tensor([2.0, 1.0, 100.0])  # 4 + 1; the acceleration does not count
     state[0, 2] = 7.0  # nor does the leader
     torch.testing.assert_close(reconstruction_loss(state, recorded, POINT_MASS_1D), torch.tensor(5.0 / 4))
+
+
+def test_actions_count_in_their_units():
+    recorded = torch.zeros(1, 1, 2, 2)
+    action = torch.tensor([[[[3.0, 0.0], [0.0, 0.2]]]])
+    error = action_error(action, recorded, torch.tensor([1.5, 0.1]))
+    torch.testing.assert_close(error, torch.tensor((4.0 + 4.0) / 4))
 
 
 def test_descent_leaves_other_parameters_alone():
