@@ -93,17 +93,19 @@ class Episode:
 
     @property
     def gap(self) -> Float[np.ndarray, "T 2"]:
-        """Net gaps [m] along the road from the two rear vehicles of `order` to the next one, whatever their lanes."""
+        """Net gaps [m] along the road between neighbours of `order`, whatever their lanes and whoever is ahead."""
         s = self.feature("s")
         behind, ahead = list(self.order[:2]), list(self.order[1:])
-        return net_gap(s[:, behind], s[:, ahead], self.length[ahead])
+        in_order = net_gap(s[:, behind], s[:, ahead], self.length[ahead])
+        return np.maximum(in_order, net_gap(s[:, ahead], s[:, behind], self.length[behind]))
 
     @property
     def ttc(self) -> Float[np.ndarray, "T 2"]:
         """Times to collision [s] over the same gaps; +inf where the vehicles are not in each other's path."""
-        v = self.feature("v")
-        time = time_to_collision(self.gap, v[:, list(self.order[:2])], v[:, list(self.order[1:])])
-        return np.where(self.in_path, time, np.inf)
+        s, v = self.feature("s"), self.feature("v")
+        behind, ahead = list(self.order[:2]), list(self.order[1:])
+        opening = np.where(s[:, ahead] >= s[:, behind], 1, -1) * (v[:, ahead] - v[:, behind])
+        return np.where(self.in_path, time_to_collision(self.gap, -opening, np.zeros_like(opening)), np.inf)
 
     @property
     def jerk(self) -> Float[np.ndarray, "T 3"]:

@@ -13,6 +13,8 @@ from matplotlib.patches import Circle, FancyArrowPatch
 from rich.markup import escape
 from rich.table import Table
 
+from cosim.episode import ARRIVED, INTERRUPTED, Ending
+
 DRIVER_NAMES = {
     "gri": "GRI",
     "idm": "IDM",
@@ -23,7 +25,17 @@ DRIVER_NAMES = {
 LEFT_ALONE = ("sumo", "recorded")  # drivers of groups that no policy took
 ROLE_COLOURS = ("#0072b2", "#d55e00", "#444444")
 EDGE_COLOURS = {"follow": "#009e73", "yield": "#e69f00", "cut_in": "#cc79a7"}
-ROLES = ("0 (last)", "1 (middle)", "2 (leader)")
+ROLES = {
+    "car_following": ("0 (last)", "1 (middle)", "2 (leader)"),
+    "merge": ("0 (merging)", "1 (lag)", "2 (leader)"),
+}
+
+_CURVES = {
+    "s": "position s [m]",
+    "d": "lateral position d [m]",
+    "v": "speed [m/s]",
+    "gap": "net gap ahead [m]",
+}
 
 Row = tuple[str, Callable[[pd.DataFrame], str]]
 
@@ -49,15 +61,18 @@ def _of(count: int, total: int) -> str:
     return f"{count} of {total}" if total else "-"
 
 
-def _interrupted(groups: pd.DataFrame) -> str:
-    kinds = groups.loc[~groups["ending"].isin(["horizon", "contact"]), "ending"].value_counts()
+def _endings(groups: pd.DataFrame, *, interrupted: bool) -> str:
+    """How often which ending that is neither arriving nor a contact, by others' doing or by the driver's own."""
+    others = groups["ending"].isin(INTERRUPTED)
+    own = ~groups["ending"].isin([*INTERRUPTED, *ARRIVED, Ending.CONTACT])
+    kinds = groups.loc[others if interrupted else own, "ending"].value_counts()
     return (
         ", ".join(f"{n} {kind.replace('_', ' ')}" for kind, n in zip(map(str, kinds.index), kinds, strict=True)) or "0"
     )
 
 
 def _complete(groups: pd.DataFrame) -> pd.DataFrame:
-    return groups[groups["ending"].isin(["horizon", "contact"])]
+    return groups[~groups["ending"].isin(INTERRUPTED)]
 
 
 def _edges(groups: pd.DataFrame) -> str:
@@ -82,8 +97,9 @@ def _as_expected(groups: pd.DataFrame) -> str:
 
 _ROWS: tuple[Row, ...] = (
     ("groups", lambda g: str(len(g))),
-    ("  driven to the end", lambda g: _of(int((g["ending"] == "horizon").sum()), len(g))),
-    ("  interrupted by others", _interrupted),
+    ("  driven to the end", lambda g: _of(int(g["ending"].isin(ARRIVED).sum()), len(g))),
+    ("  not in time, or not on the road", lambda g: _endings(g, interrupted=False)),
+    ("  interrupted by others", lambda g: _endings(g, interrupted=True)),
     ("inferred edges", _edges),
     ("  whole graph as expected", _as_expected),
     ("success (of those not interrupted)", lambda g: _of(int(g["success"].sum()), len(_complete(g)))),
@@ -117,24 +133,24 @@ def picture(tables: Mapping[str, pd.DataFrame], path: Path, episode: int | None 
     own = steps[(steps["episode"] == episode) & (steps["driver"] == driver)]
     twin = _twin(group, groups, steps)
     with matplotlib.rc_context({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}):
-        figure = Figure(figsize=(10, 7), layout="constrained")
+        shown = _CURVES if group["rule"] == "merge" else {k: v for k, v in _CURVES.items() if k != "d"}
+        figure = Figure(figsize=(10, 1 + 2 * len(shown)), layout="constrained")
+        right = ["graph"] * (len(shown) - 1) + ["text"]
         layout = figure.subplot_mosaic(
-            [["s", "graph"], ["v", "graph"], ["gap", "text"]],
+            [list(row) for row in zip(shown, right, strict=True)],
             width_ratios=[2.6, 1],
-            height_ratios=[1.5, 1, 1],
+            height_ratios=[1.5, *[1] * (len(shown) - 1)],
         )
-        _curves(layout["s"], own, twin, "s", "position s [m]")
-        _curves(layout["v"], own, twin, "v", "speed [m/s]")
-        _curves(layout["gap"], own, twin, "gap", "net gap ahead [m]", roles=(0, 1))
-        layout["gap"].set_xlabel("time since take-over [s]")
-        for name in ("s", "v", "gap"):
+        for name, label in shown.items():
+            _curves(layout[name], own, twin, name, label, ROLES[group["rule"]], (0, 1) if name == "gap" else (0, 1, 2))
             _phases(layout[name], group, label=name == "s", driver=_name(driver))
-        layout["s"].legend(loc="lower right", frameon=False)
+        layout["gap"].set_xlabel("time since take-over [s]")
+        layout["s"].legend(loc="upper left", frameon=False)
         _graph(layout["graph"], group)
         _facts(layout["text"], group, twin is not None)
         figure.suptitle(
             f"Episode {episode}: {_name(driver)} drives "
-            f"{group['vehicle_0']} (0) and {group['vehicle_1']} (1) behind {group['vehicle_2']} (2)",
+            f"{group['vehicle_0']} (0) and {group['vehicle_1']} (1), the leader is {group['vehicle_2']} (2)",
             x=0.01,
             ha="left",
         )
@@ -156,7 +172,8 @@ def _curves(
     twin: pd.DataFrame | None,
     column: str,
     label: str,
-    roles: tuple[int, ...] = (0, 1, 2),
+    names: tuple[str, ...],
+    roles: tuple[int, ...],
 ) -> None:
     """One line per vehicle; dashed and thin: the same vehicle left to SUMO."""
     thin: dict[str, Any] = {"lw": 1, "ls": "--", "alpha": 0.7}
@@ -165,11 +182,11 @@ def _curves(
         for frame, style in ((twin, thin), (own, thick)):
             if frame is not None:
                 part = frame[(frame["role"] == role) & frame["present"]]
-                label_of = f"vehicle {ROLES[role]}" if frame is own else None
+                label_of = f"vehicle {names[role]}" if frame is own else None
                 axes.plot(_since(part, own), part[column], color=ROLE_COLOURS[role], label=label_of, **style)
     axes.set_ylabel(label)
     axes.margins(x=0)
-    if column != "s":
+    if column in ("v", "gap"):
         axes.set_ylim(bottom=0)
 
 

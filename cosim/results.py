@@ -66,6 +66,7 @@ def _group(number: int, episode: Episode, expected: Mapping[tuple[int, int], Edg
         **{f"vehicle_{role}": vehicle for role, vehicle in enumerate(episode.group.ids)},
         **{f"length_{role}": float(length) for role, length in enumerate(episode.length)},
         **{f"width_{role}": float(width) for role, width in enumerate(episode.width)},
+        "rule": "car_following" if episode.order == (0, 1, 2) else "merge",
         "taken_at": episode.group.time,
         "driven_for": episode.end - episode.group.time,
         "ending": episode.ending.value,
