@@ -11,6 +11,7 @@ import typer
 
 from cosim import traffic_commands
 from cosim.batch import commands as batch_commands
+from cosim.show import commands as show_commands
 from cosim.stress.command import stress
 from cosim.terminal import Stages, console, errors, next_command, say
 from gri.errors import InputError
@@ -63,29 +64,11 @@ for _command in (traffic_commands.traffic, traffic_commands.calibrate, traffic_c
     app.command()(_command)
 
 
-@app.command()
-def report(
-    run: Annotated[Path, typer.Argument(help="A run folder.")],
-    episode: Annotated[int | None, typer.Option(help="Draw this episode instead of the most eventful.")] = None,
-) -> None:
-    """Show the table of a finished run and draw one of its episodes."""
-    from cosim.report import picture
-    from cosim.results import read_tables
-
-    tables = read_tables(run)
-    known = int(tables["groups"]["episode"].max())
-    if episode is not None and not 0 <= episode <= known:
-        raise InputError(f"--episode: got {episode}, {run} has the episodes 0 to {known}")
-    _show(run)
-    path = run / ("episode.png" if episode is None else f"episode-{episode}.png")
-    picture(tables, path, episode)
-    say(f"\nPicture: {path}")
-    next_command(f"python -c \"import pandas; print(pandas.read_parquet('{run}/steps.parquet'))\"")
-
-
 app.command()(stress)
 app.command()(batch_commands.batch)
 app.command()(batch_commands.results)
+for _command in (show_commands.report, show_commands.render, show_commands.explain, show_commands.gui):
+    app.command()(_command)
 
 
 @app.command("list")
@@ -107,8 +90,14 @@ def list_() -> None:
 @app.command()
 def schema(
     of: Annotated[Literal["scenario", "batch"], typer.Argument(help="The kind of file.")] = "scenario",
+    markdown: Annotated[bool, typer.Option("--markdown", help="All fields of both kinds, for reading.")] = False,
 ) -> None:
-    """Print the JSON Schema of scenario or batch files, for editors."""
+    """Print the JSON Schema of scenario or batch files, for editors, or a reference of their fields, for people."""
+    if markdown:
+        from cosim.reference import markdown as reference
+
+        sys.stdout.write(reference())
+        return
     if of == "batch":
         from cosim.batch.spec import json_schema
     else:

@@ -4,11 +4,15 @@ import os
 import time
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from cosim.terminal import Runs, console, errors, next_command, say
+from gri.errors import InputError
+
+if TYPE_CHECKING:
+    from cosim.batch.matrix import Run
 
 
 def batch(
@@ -18,13 +22,14 @@ def batch(
     out: Annotated[Path | None, typer.Option(help="Folder of the batch; default: runs/batch/NAME.")] = None,
     executor: Annotated[Literal["local", "ray"], typer.Option(help="This machine, or a Ray cluster.")] = "local",
     address: Annotated[str | None, typer.Option(help="Address of the Ray cluster; default: one started here.")] = None,
+    only: Annotated[list[str] | None, typer.Option(help="Only the run with this id; repeatable.")] = None,
     retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Try again what failed for good.")] = False,
 ) -> None:
     """Run every scenario of a batch file that has not run yet; stop and continue at will."""
     from cosim.batch.matrix import expand, load_batch
 
     spec, path = load_batch(file)
-    runs = expand(spec, path)
+    runs = _chosen(expand(spec, path), only or [])
     if dry_run:
         for run in runs:
             say(f"{run.id}  {run.cell}")
@@ -50,6 +55,12 @@ def batch(
         next_command(f"cosim results {folder} --failures")
         raise typer.Exit(1)
     next_command(f"cosim results {folder}")
+
+
+def _chosen(runs: "tuple[Run, ...]", only: list[str]) -> "tuple[Run, ...]":
+    if unknown := set(only) - {run.id for run in runs}:
+        raise InputError(f"--only {min(unknown)}: no such run in this file; --dry-run lists them")
+    return tuple(run for run in runs if not only or run.id in only)
 
 
 def results(

@@ -44,6 +44,7 @@ def execute(
         reasons: dict[str, list[dict[str, Any]]] = {}
         queue = deque(_task(run, store, 0) for run in runs if run.id not in done | failed)
         tell(tally)
+        _try(lambda: store.write_manifest(manifest(batch, runs, store, file)))  # results can be looked at from now on
         try:
             with closing(executor(queue, batch.time_limit)) as answers:  # leaving it ends whatever is under way
                 for answer in answers:

@@ -1,0 +1,1 @@
+"""Looking at results: pictures, films, animations, words, and the report of a batch."""

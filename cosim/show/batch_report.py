@@ -1,0 +1,159 @@
+"""The report of a batch: one HTML file that works without a network."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import yaml
+
+from cosim.batch import figures
+from cosim.batch.figures import MEASURES, SUMO
+from cosim.batch.listing import groups_of, p_value
+from cosim.batch.store import Store
+from cosim.results import read_tables
+from cosim.show import charts, graphs
+from cosim.show.animation import script_of
+from cosim.show.episode import view
+from cosim.show.templates import page
+from cosim.show.worst import worst
+from cosim.statistics import Estimate, PairedTest
+
+ANIMATIONS = 6
+CURVES = ("success", "contact", "short_ttc", "min_gap")
+SPREADS = ("min_gap", "mean_speed", "min_acceleration")
+PARTS = ("scenario", "variant", "policy", "perturbation", "intensity")
+
+
+def report(store: Store) -> str:
+    """The page; everything on it comes from the tables and the manifest."""
+    manifest, groups = store.manifest(), groups_of(store)
+    policies = list(dict.fromkeys(groups["policy"]))
+    reference = policies[0]
+    return page(
+        "batch.html.j2",
+        title=manifest["batch"].get("description") or Path(manifest["file"]).stem,
+        folder=str(store.folder),
+        manifest=manifest,
+        spec=yaml.safe_dump(
+            _given(manifest["batch"]), sort_keys=False, allow_unicode=True, default_flow_style=None, width=100
+        ),
+        policies=policies,
+        reference=reference,
+        measures=[charts.titled(measure) for measure in MEASURES],
+        rows=_rows(groups),
+        differences=_differences(groups, reference),
+        curves=[(name, charts.curves(groups, name, _unit(name, manifest), CURVES)) for name in _perturbations(groups)],
+        spreads=charts.distributions(groups, SPREADS),
+        beliefs=_beliefs(groups),
+        films=_films(store, groups),
+        failures=_failures(store, manifest),
+    )
+
+
+def _yaml(content: dict[str, Any]) -> str:
+    return yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None, width=100)
+
+
+def _given(batch: dict[str, Any]) -> dict[str, Any]:
+    """The batch without what was left out of its file."""
+    kept = {name: _given(value) if isinstance(value, dict) else value for name, value in batch.items()}
+    return {name: value for name, value in kept.items() if value not in (None, "", [], {}, ())}
+
+
+def _perturbations(groups: pd.DataFrame) -> list[str]:
+    return [name for name in dict.fromkeys(groups["perturbation"]) if name != "nominal"]
+
+
+def _unit(name: str, manifest: dict[str, Any]) -> str:
+    """Unit of a perturbation's intensity, where its kind is one that a scenario knows."""
+    from cosim.perturb import specs
+
+    kind = manifest["batch"]["perturbations"][name]["kind"]
+    known = {cls.__struct_config__.tag: cls for cls in specs.Spec.__subclasses__()}
+    return known[kind].unit if kind in known else ""
+
+
+def _labels(row: pd.Series, names: list[str]) -> list[str]:
+    return ["" if pd.isna(row[name]) else f"{row[name]:g}" if name == "intensity" else str(row[name]) for name in names]
+
+
+def _rows(groups: pd.DataFrame) -> dict[str, Any]:
+    """The headline table."""
+    order = [name for name in PARTS if name != "policy" and groups[name].nunique(dropna=False) > 1] + ["policy"]
+    place = {name: {str(value): k for k, value in enumerate(dict.fromkeys(groups[name]))} for name in order}
+    table = [row for _, row in figures.headline(groups, order).iterrows()]
+    table.sort(key=lambda row: [place[name][str(row[name])] for name in order])
+    return {
+        "names": order,
+        "rows": [
+            {
+                "labels": _labels(row, order),
+                "counts": [row["groups"], row["interrupted"]],
+                "figures": [_figure(row[measure.name], measure.unit) for measure in MEASURES],
+            }
+            for row in table
+        ],
+    }
+
+
+def _figure(estimate: Estimate, unit: str) -> tuple[str, str]:
+    """A value and its interval as text; shares in percent."""
+    if not estimate.n:
+        return "–", ""
+    factor, digits = (100, 1) if unit == "share" else (1, 2)
+    value, low, high = (f"{factor * x:.{digits}f}" for x in (estimate.value, estimate.low, estimate.high))
+    return value, f"{low} to {high}"
+
+
+def _differences(groups: pd.DataFrame, reference: str) -> list[dict[str, Any]]:
+    """The other policies minus the reference on the same starts, per perturbation."""
+    found = []
+    for perturbation in dict.fromkeys(groups["perturbation"]):
+        part = groups[groups["perturbation"] == perturbation]
+        for policy in dict.fromkeys(part["policy"]):
+            if policy == reference or (policy == SUMO and perturbation != "nominal"):
+                continue
+            starts = len(figures.paired(part, policy, reference)[0])
+            if starts:
+                tests = figures.compare(part, policy, reference)
+                cells = [(*_figure(tests[m.name].difference, m.unit), _stars(tests[m.name])) for m in MEASURES]
+                found.append({"labels": [perturbation, f"{policy} − {reference}"], "starts": starts, "figures": cells})
+    return found
+
+
+def _stars(test: PairedTest) -> str:
+    return "" if np.isnan(test.p) else f"p {p_value(test)}" if test.p < 0.001 else f"p = {p_value(test)}"
+
+
+def _beliefs(groups: pd.DataFrame) -> list[dict[str, Any]]:
+    """Inferred graphs per policy, scenario and perturbation kind, for drivers that have one."""
+    found = []
+    for (scenario, policy), part in groups.groupby(["scenario", "policy"], sort=False):
+        pairs = graphs.pairs_of(part)
+        if pairs:
+            expected = part["graph_as_expected"].dropna().astype(bool)
+            found.append(
+                {
+                    "name": f"{policy}, {scenario}",
+                    "pairs": pairs,
+                    "drawing": graphs.drawing(pairs),
+                    "groups": len(part),
+                    "expected": f"{100 * expected.mean():.0f} %",
+                }
+            )
+    return found
+
+
+def _films(store: Store, groups: pd.DataFrame) -> list[dict[str, Any]]:
+    found = []
+    for _, row in worst(groups, ANIMATIONS).iterrows():
+        folder = store.run_folder(str(row["run"]))
+        seen = view(read_tables(folder), int(row["episode"]), str(row["driver"]))
+        found.append({"row": row, "folder": folder, "view": seen, "data": script_of(seen)})
+    return found
+
+
+def _failures(store: Store, manifest: dict[str, Any]) -> list[dict[str, Any]]:
+    wanted = {run["run"] for run in manifest["runs"]}
+    return [failure for run, failure in store.failures().items() if run in wanted]

@@ -1,0 +1,70 @@
+"""The graphs that a policy inferred, as a matrix and as a drawing."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from html import escape
+
+import numpy as np
+import pandas as pd
+
+PLACES = ((60.0, 150.0), (60.0, 85.0), (60.0, 20.0))  # of the roles 0, 1, 2 in the drawing, the road going up
+
+
+@dataclass(frozen=True)
+class Pair:
+    """How one pair was seen over many groups: its most frequent type, how often, and its mean probability then."""
+
+    sender: int
+    receiver: int
+    type: str
+    share: float
+    probability: float
+
+
+def pairs_of(groups: pd.DataFrame) -> dict[tuple[int, int], Pair]:
+    """Every pair of roles in groups whose driver has a graph; empty where none has."""
+    return {(pair.sender, pair.receiver): pair for pair in _pairs(groups)}
+
+
+def _pairs(groups: pd.DataFrame) -> Iterator[Pair]:
+    for sender in range(3):
+        for receiver in range(3):
+            column = f"edge_{sender}_{receiver}"
+            if sender == receiver or column not in groups or groups[column].isna().all():
+                continue
+            known = groups[groups[column].notna()]
+            kind = str(known[column].mode().iloc[0])
+            same = known[known[column] == kind]
+            yield Pair(sender, receiver, kind, len(same) / len(known), float(same[f"{column}_p"].mean()))
+
+
+def drawing(pairs: dict[tuple[int, int], Pair]) -> str:
+    """The most frequent type of each pair: an arrow from sender to receiver, labelled with what the receiver does."""
+    parts = ['<svg viewBox="0 0 190 175" width="220" role="img" aria-label="inferred graph">']
+    for pair in pairs.values():
+        if pair.type != "none":
+            parts.append(_arrow(pair))
+    for role, (x, y) in enumerate(PLACES):
+        parts.append(f'<circle cx="{x}" cy="{y}" r="13" fill="var(--v{role})"/>')
+        parts.append(f'<text x="{x}" y="{y + 4}" text-anchor="middle" font-size="12" fill="#fff">{role}</text>')
+    return "".join([*parts, "</svg>"])
+
+
+def _arrow(pair: Pair) -> str:
+    start, end = np.array(PLACES[pair.sender]), np.array(PLACES[pair.receiver])
+    along = (end - start) / np.linalg.norm(end - start)
+    side = np.array([along[1], -along[0]]) * (18 + 17 * (abs(pair.sender - pair.receiver) - 1))
+    a, b, middle = start + 14 * along + side / 3, end - 16 * along + side / 3, (start + end) / 2 + side * 1.5
+    tip = (b - middle) / np.linalg.norm(b - middle)
+    wing = np.array([tip[1], -tip[0]])
+    head = " ".join(f"{x:.1f},{y:.1f}" for x, y in (b, b - 7 * tip + 3.5 * wing, b - 7 * tip - 3.5 * wing))
+    text = middle * 0.55 + (start + end) / 2 * 0.45
+    anchor = "start" if side[0] > 0 else "end"
+    name = escape(pair.type.replace("_", " "))
+    colour = f"var(--{pair.type})"
+    return (
+        f'<path d="M{a[0]:.1f} {a[1]:.1f}Q{middle[0]:.1f} {middle[1]:.1f} {b[0]:.1f} {b[1]:.1f}" fill="none"'
+        f' stroke="{colour}" stroke-width="2"/><polygon points="{head}" fill="{colour}"/>'
+        f'<text x="{text[0] + (6 if side[0] > 0 else -6):.1f}" y="{text[1] + 4:.1f}" text-anchor="{anchor}"'
+        f' font-size="11" fill="{colour}">{name} {100 * pair.share:.0f} %</text>'
+    )

@@ -1,0 +1,103 @@
+"""Pages and films of one episode, and the parts of a batch's report."""
+
+import json
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+
+from cosim.show import charts, graphs
+from cosim.show.animation import data_of, html, script_of
+from cosim.show.episode import view
+from cosim.show.film import film
+from cosim.show.gui import replay
+from cosim.show.worst import worst
+from gri.errors import InputError
+
+
+def outside(page: str) -> list[str]:
+    """Addresses that a browser would ask the network for."""
+    return re.findall(r"""(?:src|href)\s*=\s*["'](?!data:|#)([^"']+)|url\((?!#)|@import|fetch\(""", page)
+
+
+def test_an_episode_becomes_numbers_for_the_browser(episode):
+    data = data_of(episode)
+    assert data["time"][:2] == [-1.0, -0.8]
+    assert data["vehicles"][0]["gap"][0] == pytest.approx(15.0, abs=0.1)
+    assert data["vehicles"][2]["gap"][0] is None
+    assert data["vehicles"][0]["ttc"] == [None] * len(data["time"]), "an infinite time to collision is none"
+    assert [(edge["from"], edge["to"], edge["type"]) for edge in data["edges"]] == [(1, 0, "follow"), (2, 1, "follow")]
+
+
+def test_a_page_holds_everything_itself(episode):
+    page = html(episode, "A & B")
+    assert not outside(page)
+    assert "A &amp; B" in page
+    assert json.loads(script_of(episode)) == data_of(episode)
+    assert "</script>0" not in page, "names of vehicles cannot end the script"
+
+
+def test_an_unknown_episode(tables):
+    with pytest.raises(InputError, match="--episode: got 7, this run has the episodes 0 to 0"):
+        view(tables, 7)
+
+
+def test_a_film_has_a_picture_per_step(episode, tmp_path):
+    film(episode, tmp_path / "episode.gif")
+    with Image.open(tmp_path / "episode.gif") as image:
+        assert getattr(image, "n_frames", 1) == len(episode.time)
+
+
+def test_sumo_gui_without_a_display_says_what_to_do_instead(episode, tmp_path, monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    with pytest.raises(InputError, match="cosim render"):
+        replay(episode, tmp_path)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    with pytest.raises(InputError, match="sumo-gui is not installed"):
+        replay(episode, tmp_path)
+
+
+@pytest.fixture
+def groups() -> pd.DataFrame:
+    rng, rows = np.random.default_rng(0), []
+    for k in range(24):
+        rows.append(
+            {
+                "run": f"r{k}", "policy": ("gri", "idm")[k % 2], "perturbation": "braking", "intensity": float(k % 3),
+                "driver": "gri", "ending": "contact" if k == 5 else "horizon", "success": k != 5, "contact": k == 5,
+                "min_ttc": float(rng.uniform(1, 9)), "min_gap": float(rng.uniform(1, 9)), "mean_speed": 10.0 + k,
+                "min_acceleration": -1.0, "jerk_within_3": 1.0, "edge_1_0": "follow", "edge_1_0_p": 0.9,
+                "edge_0_1": "none" if k % 4 else "follow", "edge_0_1_p": 0.8,
+            }
+        )  # fmt: skip
+    return pd.DataFrame(rows)
+
+
+def test_charts_take_the_ink_of_the_page_and_name_their_axes(groups):
+    for text in (
+        charts.curves(groups, "braking", "m/s²", ("success", "min_gap")),
+        charts.distributions(groups, ["min_gap"]),
+    ):
+        assert text.startswith("<svg")
+        assert charts.INK not in text
+        assert "currentColor" in text
+        assert "minimum gap [m]" in text
+    assert "intensity of braking [m/s²]" in charts.curves(groups, "braking", "m/s²", ("success",))
+
+
+def test_graphs_are_counted(groups):
+    pairs = graphs.pairs_of(groups)
+    assert (pairs[1, 0].type, pairs[1, 0].share, pairs[1, 0].probability) == ("follow", 1.0, pytest.approx(0.9))
+    assert (pairs[0, 1].type, pairs[0, 1].share) == ("none", 0.75)
+    text = graphs.drawing(pairs)
+    assert text.count("<path") == 1, "pairs without a relation are not drawn"
+    assert "follow 100 %" in text
+
+
+def test_contacts_are_the_worst_and_nobody_fills_the_page(groups):
+    found = worst(groups, 3)
+    assert found["contact"].tolist() == [True, False, False]
+    assert found.groupby("policy").size().max() == 2
