@@ -128,7 +128,6 @@ class Sumo:
                 f"refused a non-finite command for {vehicle}: x={x}, y={y}, heading={heading}, speed={speed}"
             )
         edge, _, index = lane.rpartition("_")
-        x, y, speed = float(x), float(y), float(speed)  # libsumo knows no numpy numbers
         libsumo.vehicle.setSpeed(vehicle, speed)
         mode = _GIVEN_LANE_EXACT_POSITION if lane else _KEEP_ROUTE_EXACT_POSITION
         libsumo.vehicle.moveToXY(vehicle, edge, int(index or -1), x, y, sumo_angle_of(heading), mode)

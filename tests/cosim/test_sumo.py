@@ -214,15 +214,6 @@ def test_a_vehicle_beside_the_road_has_no_lane(road):
         assert state_of(world, "a")[4] == ""
 
 
-def test_numbers_of_numpy_are_numbers(road):
-    with road(vehicle("a", 60.0)) as world:
-        s, d, *_ = state_of(world, "a")
-        world.take("a")
-        world.command("a", np.float32(s + 2), np.float64(d), np.float32(0.0), np.int64(10))
-        world.step()
-        assert state_of(world, "a")[:4] == pytest.approx((s + 2, d, 0.0, 10.0), abs=1e-5)
-
-
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 def test_non_finite_commands_are_refused(road, bad):
     with road(vehicle("a", 10.0)) as world:
