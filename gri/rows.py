@@ -63,6 +63,7 @@ ROWS = (
     Row("NRI", "_nri", "NRI", ("table1", "ood"), meaning=False),
     Row("NRI, type 0 speaks", "_nri_type0", "NRI", ("table1", "ood"), meaning=False),
     SUPERVISED,
+    Row("GRI, recurrent decoder", "_recurrent", "GRI", ("table1",)),
     Row("GRI, tested range held out", "_strict", "GRI", ("ood",)),
     Row("GRI-VAIRL", "_gri_vairl", "GRI-VAIRL", ("table3", "ood"), meaning=False),
     Row("GRI-AIRL", "_gri_airl", "GRI-AIRL", ("table3", "ood"), meaning=False),
