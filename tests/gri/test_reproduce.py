@@ -51,7 +51,7 @@ def test_a_job_is_named_after_all_that_its_result_depends_on(tmp_path: Path):
 
 
 def test_seeds_come_one_after_the_other(tmp_path: Path):
-    assert [job.seed for job in jobs_of(plan(tmp_path, seeds=2))] == [0] * 6 + [1] * 6
+    assert [job.seed for job in jobs_of(plan(tmp_path, seeds=2))] == [0] * 7 + [1] * 7
 
 
 def test_results_say_the_command_without_anybodys_folders(tmp_path: Path):
