@@ -14,16 +14,23 @@ Rows = Int[np.ndarray, " 3"]
 
 
 def car_following(
-    before: State, now: State, rows: Rows, ahead: Int[np.ndarray, " 2"], third: bool = True
-) -> Ending | None:
+    before: Float[np.ndarray, "G 3 C"],
+    now: Float[np.ndarray, "G 3 C"],
+    rows: Int[np.ndarray, "G 3"],
+    ahead: Int[np.ndarray, "G 2"],
+    third: bool = True,
+) -> list[Ending | None]:
     """All three keep their lane and nobody comes between them, or else the group is broken up.
 
     `ahead` are the rows of the next vehicles ahead of the first two. Without a `third` vehicle it is about these two.
     """
-    if (np.abs(now[:, _D] - before[:, _D]) > SAME_LANE).any():
-        return Ending.LANE_LEFT
     pairs = 2 if third else 1
-    return None if (ahead[:pairs] == rows[1 : pairs + 1]).all() else Ending.CUT_IN
+    sideways = np.abs(now[..., _D] - before[..., _D]).max(axis=1)
+    between = np.abs(ahead[:, :pairs] - rows[:, 1 : pairs + 1]).max(axis=1)  # 0: the next one ahead is the right one
+    return [
+        Ending.LANE_LEFT if moved > SAME_LANE else Ending.CUT_IN if others else None
+        for moved, others in zip(sideways, between, strict=True)
+    ]
 
 
 def merging(

@@ -43,6 +43,7 @@ class Pilot:
         self._owned, self._overrule, self._reinfer, self._signals = list(owned), overrule, reinfer, signals
         self._window = deque((layout.states(frame.state) for frame in history), policy.history_steps)
         self._state = self._commanded = self._window[-1]
+        self._pose = layout.pose(self._commanded)
         self._steps = 0
         self._memory = self._begin()
         self.graphs: list[tuple[float, InteractionGraph]] = []
@@ -81,7 +82,8 @@ class Pilot:
             stop = self._policy.dynamics.stop
             self._commanded = following if stop is None else stop(self._state, following)
         self._steps += 1
-        return self._layout.pose(self._commanded)
+        self._pose = self._layout.pose(self._commanded)
+        return self._pose
 
     def observe(self, frame: Frame, active: Sequence[int]) -> None:
         """Read the world; the vehicles that are driven are where the dynamics put them."""
@@ -93,7 +95,7 @@ class Pilot:
     def stamp(self, frame: Frame, active: Sequence[int]) -> Frame:
         """The frame with the dynamics' acceleration of owned vehicles; SUMO reports the past step's mean instead."""
         state, driven = frame.state.copy(), np.ix_(np.array(active, dtype=int), np.array(self._owned))
-        state[(*driven, COLUMNS.index("a"))] = self._layout.pose(self._commanded).a[driven]
+        state[(*driven, COLUMNS.index("a"))] = self._pose.a[driven]
         return replace(frame, state=state)
 
 

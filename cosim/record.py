@@ -4,7 +4,7 @@ from collections.abc import Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from cosim import endings
 from cosim.episode import COLUMNS, Ending, Event, EventKind
@@ -99,34 +99,42 @@ class Record:
         if not active:
             return
         touching = self._contacts(snapshot, frame, report)
-        ahead = next_ahead(snapshot, frame.rows[:, :2].ravel()).reshape(-1, 2)  # for all groups at once
+        found = self._endings(frame, before, snapshot)
         for g in active:
-            ending = self._ending(frame, before, snapshot, ahead[g], g, g in touching)
+            ending = Ending.CONTACT if g in touching else self._lost(frame, snapshot, g) or found[g]
             if ending is None and last:
                 ending = Ending.LATE if isinstance(self._task.rule, Merge) else Ending.HORIZON
             if ending is not None:
                 self.endings[g], self.ends[g] = ending, frame.time
 
-    def _ending(
-        self, frame: Frame, before: Frame, snapshot: Snapshot, ahead: Int[np.ndarray, " 2"], g: int, touching: bool
-    ) -> Ending | None:
-        if touching:
-            return Ending.CONTACT
+    def _lost(self, frame: Frame, snapshot: Snapshot, g: int) -> Ending | None:
+        """Whether a vehicle is gone, or a driven one where there is no lane."""
         if not frame.valid[g].all():
             return Ending.LOST
-        if not all(snapshot.lane[frame.rows[g, role]] for role in self._task.owned):
-            return Ending.OFF_ROAD
-        rows = frame.rows[g] if self._task.third else frame.rows[g][[0, 1, 1]]  # nobody comes between 1 and 1
-        states = before.state[g], frame.state[g]
-        if not isinstance(self._task.rule, Merge):
-            return endings.car_following(*states, frame.rows[g], ahead, self._task.third)
-        assert self._task.lanes is not None, "a merge takes place between two lanes"
-        ending = endings.merging(*states, snapshot, rows, self._task.lanes, float(self._width[g, 0]), self._task.dt)
-        if ending is not Ending.MERGED:
-            self._inside[g] = 0
-            return ending
-        self._inside[g] += 1
-        return ending if self._inside[g] * self._task.dt >= self._task.rule.settle - 1e-6 else None
+        on_road = all(snapshot.lane[frame.rows[g, role]] for role in self._task.owned)
+        return None if on_road else Ending.OFF_ROAD
+
+    def _endings(self, frame: Frame, before: Frame, snapshot: Snapshot) -> Sequence[Ending | None]:
+        """What the rule says of each group, of those that did not end yet."""
+        task = self._task
+        if not isinstance(task.rule, Merge):
+            ahead = next_ahead(snapshot, frame.rows[:, :2].ravel()).reshape(-1, 2)
+            return endings.car_following(before.state, frame.state, frame.rows, ahead, task.third)
+        return [
+            self._merging(frame, before, snapshot, g) if g not in self.endings else None
+            for g in range(len(task.groups))
+        ]
+
+    def _merging(self, frame: Frame, before: Frame, snapshot: Snapshot, g: int) -> Ending | None:
+        task = self._task
+        assert isinstance(task.rule, Merge)
+        assert task.lanes is not None, "a merge takes place between two lanes"
+        rows = frame.rows[g] if task.third else frame.rows[g][[0, 1, 1]]  # nobody comes between 1 and 1
+        width = float(self._width[g, 0])
+        ending = endings.merging(before.state[g], frame.state[g], snapshot, rows, task.lanes, width, task.dt)
+        self._inside[g] = self._inside[g] + 1 if ending is Ending.MERGED else 0
+        settled = self._inside[g] * task.dt >= task.rule.settle - 1e-6
+        return ending if ending is not Ending.MERGED or settled else None
 
     def _contacts(self, snapshot: Snapshot, frame: Frame, report: StepReport) -> set[int]:
         """Which groups touch something, by our own test; SUMO's opinion and every disagreement become events."""

@@ -28,8 +28,10 @@ def overlaps(
     Touching boxes do not overlap: the test is strict.
     """
     x, y = box_centre(xy, heading, length).T
-    radius = 0.5 * np.hypot(length, width)
-    near = np.hypot(x - x[rows, None], y - y[rows, None]) < radius + radius[rows, None]  # Shape: (R, V)
+    cos, sin = np.abs(np.cos(heading)), np.abs(np.sin(heading))
+    reach_x, reach_y = 0.5 * (length * cos + width * sin), 0.5 * (length * sin + width * cos)
+    near = np.abs(x - x[rows, None]) < reach_x + reach_x[rows, None]  # Shape: (R, V)
+    near &= np.abs(y - y[rows, None]) < reach_y + reach_y[rows, None]
     near[np.arange(len(rows)), rows] = False
     which, j = np.nonzero(near)
     i = rows[which]

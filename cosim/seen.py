@@ -27,9 +27,10 @@ class Frame:
         found = np.array([[where.get(vehicle, -1) for vehicle in group.ids] for group in groups])
         rows, valid = found.clip(min=0), found >= 0
         features = {"x": snapshot.xy[:, 0], "y": snapshot.xy[:, 1]}
-        columns = [features[name] if name in features else getattr(snapshot, name) for name in COLUMNS]
-        state = np.stack([np.append(column, 0.0)[rows] for column in columns], axis=-1)  # there may be nobody at all
-        return cls(snapshot.time, np.where(valid[..., None], state, 0.0), valid, rows)
+        seen = np.zeros((max(len(snapshot.ids), 1), len(COLUMNS)))  # there may be nobody at all
+        for column, name in enumerate(COLUMNS):
+            seen[: len(snapshot.ids), column] = features[name] if name in features else getattr(snapshot, name)
+        return cls(snapshot.time, np.where(valid[..., None], seen[rows], 0.0), valid, rows)
 
     def carried_on(self, previous: "Frame") -> "Frame":
         """With the last known state of vehicles that are gone; `valid` keeps saying that they are."""

@@ -59,14 +59,11 @@ class Around:
 
     vehicles: tuple[str, ...]
     ids: list[str]
-    count: int
-    """Vehicles that should be in the net, twins included; where there are more or fewer, somebody vanished."""
     age: int = 0  # [steps]
 
-    def stepped(self, entered: Sequence[str], gone: Sequence[str], more: int) -> None:
-        """One step later; there are so many `more` vehicles in the net."""
+    def stepped(self, entered: Sequence[str], gone: Sequence[str]) -> None:
+        """One step later."""
         self.ids = [vehicle for vehicle in [*self.ids, *entered] if vehicle not in set(gone)]
-        self.count += more
         self.age += 1
 
 

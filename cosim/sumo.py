@@ -54,8 +54,7 @@ class Sumo:
         self._commanded.clear()
         arrived = libsumo.simulation.getArrivedIDList()
         if self._around is not None:
-            departed = libsumo.simulation.getDepartedIDList()
-            self._around.stepped(_real(departed), arrived, len(departed) - len(arrived))
+            self._around.stepped(_real(libsumo.simulation.getDepartedIDList()), arrived)
         pairs = [(hit.collider, hit.victim) for hit in libsumo.simulation.getCollisions()]
         return StepReport(
             time=libsumo.simulation.getTime(),
@@ -93,12 +92,16 @@ class Sumo:
     def _positions_around(self, road: RoadFrame, around: tuple[str, ...]) -> _Positions:
         """Asks everybody where they are only every `_LOOK_AROUND` steps; in between, those who can come near."""
         last = self._around
-        if last is None or last.vehicles != around or last.age >= _LOOK_AROUND or last.count != _count():
+        if last is None or last.vehicles != around or last.age >= _LOOK_AROUND:
             ids, xy, s, d = self._positions(road, _real(libsumo.vehicle.getIDList()))
             reach = near(s, d, rows_of(ids, around), along=30.0, across=4.0)
-            self._around = Around(around, [ids[row] for row in np.flatnonzero(reach)], _count())
+            self._around = Around(around, [ids[row] for row in np.flatnonzero(reach)])
         else:
-            ids, xy, s, d = self._positions(road, tuple(last.ids))
+            try:
+                ids, xy, s, d = self._positions(road, tuple(last.ids))
+            except libsumo.TraCIException:  # somebody vanished without having arrived
+                self._around = None
+                return self._positions_around(road, around)
         rows = np.flatnonzero(near(s, d, rows_of(ids, around)))
         return tuple(ids[row] for row in rows), xy[rows], s[rows], d[rows]
 
@@ -123,7 +126,7 @@ class Sumo:
 
         SUMO books the vehicle on the nearest lane, or on `lane`, which must be one that passes there.
         """
-        if not all(math.isfinite(value) for value in (x, y, heading, speed)):
+        if not math.isfinite(x + y + heading + speed):
             raise SumoError(
                 f"refused a non-finite command for {vehicle}: x={x}, y={y}, heading={heading}, speed={speed}"
             )
@@ -214,10 +217,6 @@ class Sumo:
 def _real(ids: Iterable[str]) -> tuple[str, ...]:
     """Without twins."""
     return tuple(vehicle for vehicle in ids if not vehicle.startswith(_TWIN))
-
-
-def _count() -> int:
-    return libsumo.vehicle.getIDCount()
 
 
 _running = False

@@ -66,7 +66,8 @@ def test_car_following():
     chain, broken = snapshot((0, 10, 20), (0, 0, 0)), snapshot((0, 10, 20, 15), (0, 0, 0, 0))
 
     def ending(before: Snapshot, now: Snapshot) -> Ending | None:
-        return car_following(state(before), state(now), ROWS, next_ahead(now, ROWS[:2]))
+        states = state(before)[None], state(now)[None]
+        return car_following(*states, ROWS[None], next_ahead(now, ROWS[:2])[None])[0]
 
     assert ending(chain, chain) is None
     assert ending(broken, broken) is Ending.CUT_IN
