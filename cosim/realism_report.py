@@ -9,6 +9,7 @@ from rich.table import Table
 
 from cosim.distributions import picture
 from cosim.realism import Distance, distances, frame_of
+from cosim.report import DRIVER_NAMES
 from gri.errors import InputError
 
 
@@ -18,7 +19,8 @@ def write(folder: Path, simulated: pd.DataFrame, recorded: pd.DataFrame) -> Tabl
     Simulated traffic is compared as a whole and lane by lane; a run driver by driver, each with the whole recording.
     """
     if "driver" in simulated:
-        parts = {str(name): (part, recorded) for name, part in simulated.groupby("driver", sort=False)}
+        groups = simulated.groupby("driver", sort=False)
+        parts = {DRIVER_NAMES.get(str(name), str(name)): (part, recorded) for name, part in groups}
         curves = {name: part for name, (part, _) in parts.items()}
         compared = parts
     else:
