@@ -27,7 +27,8 @@ def parsed(path: Path | str) -> Any:
     except yaml.YAMLError as error:
         mark = getattr(error, "problem_mark", None)
         where = f":{mark.line + 1}" if mark else ""
-        raise InputError(f"{path}{where}: not valid YAML ({getattr(error, 'problem', error)})") from error
+        reason = " ".join(str(getattr(error, "problem", error)).split())
+        raise InputError(f"{path}{where}: not valid YAML ({reason})") from error
     except ValueError as error:  # of dates that are none
         raise InputError(f"{path}: not valid YAML ({error})") from error
     for node, problem in _problems(tree):

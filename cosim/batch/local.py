@@ -149,7 +149,8 @@ def _serve(line: Connection, name: str) -> None:
         os.setsid()  # Ctrl-C is the command's business, and whoever ends the worker ends the group
     module, _, function = name.partition(":")
     perform = getattr(import_module(module), function)
-    line.send(None)  # ready
+    with suppress(OSError):  # nobody is there to hear it; the next recv says so, too
+        line.send(None)  # ready
     while True:
         try:
             task: Task = line.recv()
@@ -161,7 +162,8 @@ def _serve(line: Connection, name: str) -> None:
         answer = _watched(fork(lambda: _alone(task, line, perform)), task, line)  # noqa: B023
         if answer is None:
             return
-        line.send(answer)
+        with suppress(OSError):
+            line.send(answer)
 
 
 def _alone(task: Task, line: Connection, perform: Callable[[Task], Answer]) -> Answer:
