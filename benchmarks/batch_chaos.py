@@ -1,0 +1,85 @@
+"""A batch of 500 tiny runs under fire: workers and running copies killed by SIGKILL at random, then the command itself.
+
+    python benchmarks/batch_chaos.py --out /tmp/chaos [--kills 24] [--lives 3]
+
+Every life of the command but the last ends with SIGKILL; the last one finishes the batch. Prints how the attempts and
+the runs ended, and how the memory of the runs' processes went. Needs /proc.
+"""
+
+import argparse
+import json
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+BATCH = Path(__file__).parent / "batch.yaml"
+
+
+def descendants(pid: int) -> list[int]:
+    """Workers and the runs in them."""
+    found = []
+    for listed in Path(f"/proc/{pid}/task").glob("*/children"):
+        try:
+            for child in map(int, listed.read_text().split()):
+                found += [child, *descendants(child)]
+        except OSError:
+            continue  # it ended meanwhile
+    return found
+
+
+def is_run(pid: int) -> bool:
+    try:
+        return b"resource_tracker" not in Path(f"/proc/{pid}/cmdline").read_bytes()
+    except OSError:
+        return False
+
+
+def shoot(pid: int, kills: int, rng: random.Random) -> int:
+    """Kill so many at random moments, as long as the command lives; how many it were."""
+    done = 0
+    while done < kills and Path(f"/proc/{pid}/task").exists():
+        time.sleep(rng.uniform(0.5, 4.0))
+        victims = [victim for victim in descendants(pid) if is_run(victim)]
+        if victims:
+            try:
+                os.kill(rng.choice(victims), signal.SIGKILL)
+                done += 1
+            except ProcessLookupError:
+                continue
+    return done
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--kills", type=int, default=24)
+    parser.add_argument("--lives", type=int, default=3)
+    options = parser.parse_args()
+    command = [sys.executable, "-m", "cosim", "batch", str(BATCH), "--workers", "2", "--out", str(options.out)]
+    rng, kills, began = random.Random(1), 0, time.monotonic()
+    for _ in range(options.lives - 1):
+        with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
+            kills += shoot(process.pid, options.kills // (options.lives - 1), rng)
+            process.kill()
+    subprocess.run([*command, "--retry-failed"], check=True)
+    states = json.loads((options.out / "manifest.json").read_text())["states"]
+    log = [json.loads(line) for line in (options.out / "log.jsonl").read_text().splitlines()]
+    done = [entry for entry in log if entry["ended"] == "done"]
+    peaks = np.array([entry["peak_mb"] for entry in done])
+    print(f"{kills} kills, {options.lives - 1} of the command; runs {states}; {time.monotonic() - began:.0f} s")
+    twice = len(done) - len({entry["run"] for entry in done})
+    print(f"attempts {dict(Counter(entry['ended'] for entry in log))}, runs done twice {twice}")
+    print(f"half-written folders {len(list(options.out.glob('runs/*.partial')))}")
+    slope = np.polyfit(np.arange(len(peaks)), peaks, 1)[0]
+    print(f"peak memory of a run {peaks.min():.1f} to {peaks.max():.1f} MB, trend {500 * slope:.2f} MB over 500 runs")
+
+
+if __name__ == "__main__":
+    main()
