@@ -6,7 +6,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from gri.data.recorded_ranges import RecordedRange
-from gri.data.scenes_file import Recorded, read
+from gri.data.scenes_file import Recorded, joined, read, scene_counts
 from gri.data.synthetic import Scenes
 from gri.dynamics import dynamics_named
 from gri.errors import InputError
@@ -15,23 +15,38 @@ from gri.errors import InputError
 def recorded_scenes(path: Path, scenes: RecordedRange, split: str | None) -> tuple[Scenes, Recorded]:
     """Scenes of a file with their actions, and all else the file says of them.
 
-    y is counted from the mean lateral position of the leader, so that the target lane is at 0. Errors: `InputError`
-    where the file has no such scenes, or of another length or rate.
+    y is counted from the mean lateral position of the leader, so that the target lane is at 0, and x from where vehicle
+    0 starts. Errors: `InputError` where the file has no such scenes, or of another length or rate.
     """
     dynamics = dynamics_named(scenes.dynamics)
-    found = read(path, scenes.kind, dynamics, scenes.vocabulary, split)
-    state, dt = found.trajectory.state, found.trajectory.dt
-    if (state.shape[2], round(dt, 6)) != (scenes.steps, scenes.dt):
-        raise InputError(
-            f"{path}: got {state.shape[2]} steps of {dt} s, wanted {scenes.steps} of {scenes.dt} s; "
-            "make the scenes with the default rules"
-        )
-    if not bool(found.trajectory.valid.all()):
-        raise InputError(f"{path}: some states of kind {scenes.kind} do not exist, wanted complete scenes")
-    state = _in_lane(state) if "y" in dynamics.state else state
+    found = _found(path, scenes, split)
+    state = _in_lane(found.trajectory.state) if "y" in dynamics.state else found.trajectory.state
     state = _from_origin(state)
-    action = dynamics.inverse(state[:, :-1, :-1], state[:, :-1, 1:], dt)
+    action = dynamics.inverse(state[:, :-1, :-1], state[:, :-1, 1:], found.trajectory.dt)
     return Scenes(state, action, found.graph), found
+
+
+def _found(path: Path, scenes: RecordedRange, split: str | None) -> Recorded:
+    dynamics, parts = dynamics_named(scenes.dynamics), []
+    for kind in kinds_in(path, scenes, split):
+        part = read(path, kind, dynamics, scenes.vocabulary, split)
+        steps, dt = part.trajectory.state.shape[2], part.trajectory.dt
+        if (steps, round(dt, 6)) != (scenes.steps, scenes.dt):
+            raise InputError(
+                f"{path}: got {steps} steps of {dt} s, wanted {scenes.steps} of {scenes.dt} s; "
+                "make the scenes with the default rules"
+            )
+        if not bool(part.trajectory.valid.all()):
+            raise InputError(f"{path}: some states of kind {kind} do not exist, wanted complete scenes")
+        parts.append(part)
+    return joined(parts)
+
+
+def kinds_in(path: Path, scenes: RecordedRange, split: str | None) -> tuple[str, ...]:
+    """Those of the wanted kinds that the file has in the split; all where it has none, so that reading says so."""
+    counts = scene_counts(path)
+    found = [kind for kind in scenes.kinds if any(k == kind and split in (None, s) for k, s in counts)]
+    return tuple(found) or scenes.kinds
 
 
 def _in_lane(state: Float[Tensor, "S N T D"]) -> Float[Tensor, "S N T D"]:

@@ -5,6 +5,7 @@ import msgspec
 from gri.data.ranges import ONE_GRAPH, GraphShare
 from gri.dynamics import DynamicsName
 from gri.graph import FOLLOWING, YIELDING, Vocabulary
+from gri.model import MERGE_BEHIND, MERGE_BETWEEN
 from gri.scale import CAR_FOLLOWING_NGSIM, LANE_CHANGING_NGSIM, Scale
 from gri.terms import NaturalisticConfig
 
@@ -13,7 +14,7 @@ class RecordedRange(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     """All that recorded scenes of one kind have in common (Sec. VI-D)."""
 
     name: str
-    kind: str
+    kinds: tuple[str, ...]
     """In the scene file."""
     steps: int
     reward: NaturalisticConfig
@@ -37,7 +38,7 @@ class RecordedRange(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
 
 NGSIM_CAR_FOLLOWING = RecordedRange(
     name="ngsim_car_following",
-    kind="car_following",
+    kinds=("car_following",),
     steps=30,
     reward=NaturalisticConfig(),
     scale=CAR_FOLLOWING_NGSIM,
@@ -47,11 +48,12 @@ NGSIM_CAR_FOLLOWING = RecordedRange(
 )
 NGSIM_LANE_CHANGING = RecordedRange(
     name="ngsim_lane_changing",
-    kind="lane_changing",
+    kinds=("lane_changing_h1", "lane_changing_h2"),
     steps=40,
     reward=NaturalisticConfig(lanes=True),
     scale=LANE_CHANGING_NGSIM,
     dynamics=DynamicsName.POINT_MASS_2D,
     vocabulary=YIELDING,
+    one_graph=(GraphShare(share=0.5, edges=MERGE_BEHIND), GraphShare(share=0.5, edges=MERGE_BETWEEN)),
 )
 RECORDED = {scenes.name: scenes for scenes in (NGSIM_CAR_FOLLOWING, NGSIM_LANE_CHANGING)}

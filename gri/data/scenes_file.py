@@ -6,7 +6,7 @@ provenance give the same bytes.
 """
 
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -212,6 +212,26 @@ def read(path: Path, kind: str, dynamics: Dynamics, vocabulary: Vocabulary, spli
         first["split"][:, 0],
         first["vehicle"],
         torch.from_numpy(np.nan_to_num(first["length"].astype(np.float32))),
+    )
+
+
+def scene_counts(path: Path) -> set[tuple[str, str]]:
+    """The (kind, split) pairs that a file has scenes of. Errors: `InputError` where it is no scene file."""
+    _header(_opened(path), path)
+    table = pq.read_table(path, columns=["kind", "split"]).unify_dictionaries()
+    found = table.group_by(["kind", "split"]).aggregate([])
+    return set(zip(found["kind"].to_pylist(), found["split"].to_pylist(), strict=True))
+
+
+def joined(parts: Sequence[Recorded]) -> Recorded:
+    """Scenes of the same shape one after the other."""
+    first = parts[0].trajectory
+    state, valid = (torch.cat([getattr(p.trajectory, name) for p in parts]) for name in ("state", "valid"))
+    return Recorded(
+        Trajectory(state, valid, first.dt),
+        torch.cat([p.graph for p in parts]),
+        *(np.concatenate([getattr(p, name) for p in parts]) for name in ("source", "split", "vehicle")),
+        torch.cat([p.length for p in parts]),
     )
 
 

@@ -3,8 +3,8 @@
 import hashlib
 import tempfile
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Literal
@@ -12,6 +12,7 @@ from typing import Literal
 import msgspec
 import numpy as np
 
+from gri.data.ngsim import drawn
 from gri.data.ngsim.car_following import triples
 from gri.data.ngsim.columns import FRAME
 from gri.data.ngsim.defects import Quality, clean
@@ -21,7 +22,7 @@ from gri.data.ngsim.rules import FREEWAYS, Rules, splits_of
 from gri.data.ngsim.smoothing import Motion, smoothed
 from gri.data.scenes_file import Header, SceneBlock, names_of, writing
 from gri.errors import InputError
-from gri.model import CHAIN
+from gri.model import CHAIN, Edge
 from gri.progress import Progress, silent
 
 Kind = Literal["car_following", "lane_changing_h1", "lane_changing_h2"]
@@ -69,9 +70,10 @@ def extract(
                         assert motion is not None
                         block, counts = _scenes(kind, recording, motion, rules)
                         rejected.update({(kind, reason): count for reason, count in counts.items()})
-                        scenes.update((recording.site, kind, str(split)) for split in block.split)
-                        if len(block.split):
-                            write(block)
+                        for part in (block, *_drawn(kind, recording, motion, rules)):
+                            if len(part.split):
+                                write(part)
+                                scenes.update((str(part.source[0]), kind, str(split)) for split in part.split)
         if not scenes:
             raise InputError(f"{', '.join(map(str, paths))}: no scene keeps the rules; see `gri ngsim inspect`")
     return Extracted(scenes, rejected, tuple(reports))
@@ -91,13 +93,34 @@ def _scenes(kind: Kind, recording: Recording, motion: Motion, rules: Rules) -> t
         rows, graph = groups(motion, rules, reading, counts), GRAPHS[reading]
     else:
         rows, graph = triples(motion, rules, counts), CHAIN
+    return _block(kind, recording, motion, rows, graph, rules), counts
+
+
+def _drawn(kind: Kind, recording: Recording, motion: Motion, rules: Rules) -> Iterator[SceneBlock]:
+    """Lane changes whose lateral motion is drawn, of vehicles that are not for testing."""
+    reading = READINGS.get(kind)
+    if reading is None:
+        return
+    rows = triples(motion, msgspec.structs.replace(rules, following_steps=rules.changing_steps), Counter())
+    rows = rows[splits_of(motion.vehicle[rows[:, 0, 0]], rules) != "test"][:, list(drawn.PLACES[reading])]
+    generator = np.random.default_rng([rules.seed, recording.clock % 2**32, int(reading[1])])
+    for _ in range(rules.drawn):
+        block = _block(kind, recording, motion, rows, GRAPHS[reading], rules)
+        across = drawn.lateral(len(rows), rules.changing_steps, rules.smoothing.dt, rules.crossing, generator)
+        source = np.full(len(rows), recording.site + drawn.MARK, object)
+        yield replace(block, source=source, features={**block.features, **across})
+
+
+def _block(
+    kind: Kind, recording: Recording, motion: Motion, rows: np.ndarray, graph: tuple[Edge, ...], rules: Rules
+) -> SceneBlock:
     features = {name: getattr(motion, name)[rows] for name in ("x", "vx", "ax")}
     features |= {"v": features["vx"], "a": features["ax"]}  # along the road: headings were not recorded
     if len(motion) and np.ptp(motion.y) > 0:
         features |= {name: getattr(motion, name)[rows] for name in ("y", "vy", "ay")}
     first = int(recording.rows["frame"].min())
     vehicle = motion.vehicle[rows[:, :, 0]]
-    block = SceneBlock(
+    return SceneBlock(
         kind=kind,
         source=np.full(len(rows), recording.site, object),
         recording=np.full(len(rows), recording.name, object),
@@ -108,7 +131,6 @@ def _scenes(kind: Kind, recording: Recording, motion: Motion, rules: Rules) -> t
         edges=np.broadcast_to(names_of({(e.sender, e.receiver): e.type for e in graph}), (len(rows), 6)),
         size={name: getattr(motion, name)[rows[:, :, 0]] for name in ("length", "width")},
     )
-    return block, counts
 
 
 def _header(paths: Sequence[Path], rules: Rules, kinds: Sequence[Kind], site: str | None) -> Header:

@@ -36,6 +36,9 @@ def groups(motion: Motion, rules: Rules, reading: Reading, counts: Counter[str])
             counts["no two partners seen throughout"] += partners is None
             if partners is not None:
                 found.append(np.stack([_rows(motion, spans, k, begin, rules) for k in (changer, *partners)]))
+    if len(found) and np.ptp(motion.y) == 0:
+        counts["lateral position not recorded"] += len(found)
+        found = []
     sieve = Sieve(motion, np.stack(found) if found else np.zeros((0, 3, rules.changing_steps), int), counts)
     changes = (np.diff(sieve.of("lane")[:, 0], axis=1) != 0).sum(1)
     sieve.reject("several lane changes", changes != 1)

@@ -42,6 +42,10 @@ class Rules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """Through and auxiliary lanes; ramps and shoulders are left out."""
     crossing: tuple[int, int] = (8, 32)
     """First and last step at which the lane may be changed."""
+    drawn: int = 2
+    """Lane changes with drawn lateral motion, never for testing, per car-following scene of their length; 0: none."""
+    seed: int = 0
+    """Of what is drawn."""
     block: int = 100
     """Vehicles whose number divided by this is the same are in the same split."""
 

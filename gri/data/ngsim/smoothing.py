@@ -98,7 +98,14 @@ def axis(
         np.asarray(savgol_filter(position, options.window, options.order, deriv=d, delta=FRAME))[kept] for d in (0, 1)
     )
     v = slope.clip(least)
-    a = np.diff(v) / options.dt
-    x = np.r_[0.0, np.cumsum((v[:-1] + v[1:]) * options.dt / 2)]
-    x += np.mean(smooth - x)
-    return x, v, np.r_[a, a[-1:]], float(np.abs(x - smooth).max())
+    x, a = integrated(v, smooth, options.dt)
+    return x, v, a, float(np.abs(x - smooth).max())
+
+
+def integrated(v: np.ndarray, position: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """Positions and accelerations [..., T] that obey the dynamics with speeds v, nearest to the given positions."""
+    a = np.diff(v) / dt
+    x = np.cumsum((v[..., :-1] + v[..., 1:]) * dt / 2, -1)
+    x = np.concatenate([np.zeros_like(v[..., :1]), x], -1)
+    x = x + np.mean(position - x, -1, keepdims=True)
+    return x, np.concatenate([a, a[..., -1:]], -1)

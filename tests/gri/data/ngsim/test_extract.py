@@ -42,7 +42,7 @@ def test_a_platoon_gives_triples_that_do_not_overlap(tmp_path: Path):
 
 
 def test_windows_of_training_vehicles_overlap(tmp_path: Path):
-    made = cut(platoon(3, frames=125, first_id=301), tmp_path)
+    made = cut(platoon(3, frames=125, first_id=301), tmp_path, drawn=0)
     assert made.scenes == {("us-101", "car_following", "train"): 7}  # starts 0, 5, ... 30 of 62 steps
 
 
@@ -91,6 +91,21 @@ def test_a_lane_change_gives_groups_of_both_readings(tmp_path: Path, reading, ve
 
 
 PAIRS = [(0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1)]
+
+
+def test_drawn_lane_changes_are_of_training_vehicles_and_obey_the_dynamics(tmp_path: Path):
+    both = pd.concat([platoon(3, frames=100), platoon(3, frames=100, first_id=301)])
+    made = cut(both, tmp_path, drawn=3)
+    assert made.scenes["us-101, lateral motion drawn", "lane_changing_h2", "train"] == 9  # starts 0, 5, 10, three each
+    assert not any(split == "test" for site, _, split in made.scenes if "drawn" in site)
+    scenes = read(tmp_path / "out.parquet", "lane_changing_h2", POINT_MASS_2D, YIELDING)
+    np.testing.assert_array_equal(scenes.vehicle[0], [302, 301, 303])  # from between the other two
+    state = scenes.trajectory.state.double()
+    action = POINT_MASS_2D.inverse(state[:, :, :-1], state[:, :, 1:], 0.2)
+    moved = POINT_MASS_2D.step(state[:, :, :-1], action, 0.2)
+    np.testing.assert_allclose(moved[..., 1:], state[:, :, 1:, 1:], atol=1e-4)
+    across = (state[:, 0, -1, 1] - state[:, 0, 0, 1]).abs()
+    np.testing.assert_allclose(across, 3.66, atol=1.2)
 
 
 def test_two_lane_changes_are_no_scene(tmp_path: Path):
