@@ -4,6 +4,7 @@ import os
 import time
 from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
@@ -37,8 +38,13 @@ def batch(
         return next_command(f"cosim batch {file}")
     from cosim.batch.execute import execute
     from cosim.batch.store import Store
+    from cosim.worker import run_in_worker
 
     folder = out or Path("runs", "batch", path.stem)
+    ended = Store(folder).finished() | set(Store(folder).failures())
+    if waiting := [run for run in runs if run.id not in ended]:
+        with TemporaryDirectory() as scratch:
+            run_in_worker("cosim.batch.work:check", waiting, log=Path(scratch, "log"), tell=lambda *_: None)
     say(f"{len(runs)} runs; results: {folder}")
     began = time.monotonic()
     how = _executor(executor, workers, address)

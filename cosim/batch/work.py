@@ -3,12 +3,29 @@
 import os
 import sys
 import traceback
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from cosim.batch.matrix import key_of
+import msgspec
+
+from cosim.batch.matrix import Run, key_of
 from cosim.batch.task import LOG, Answer, Task
 from cosim.job import run_job
+from cosim.policies import policy_of
 from gri.errors import InputError
+
+
+def check(runs: Sequence[Run], tell: Callable[..., None]) -> None:
+    """Refuse a batch in which a policy does not fit its scenario, before anything runs."""
+    kinds = {
+        msgspec.json.encode(msgspec.structs.replace(run.scenario, seed=0, perturbations=())): run
+        for run in reversed(runs)
+    }
+    for run in kinds.values():
+        try:
+            policy_of(run.scenario)
+        except InputError as error:
+            raise InputError(f"{run.cell}: {error}") from None
 
 
 def perform(task: Task) -> Answer:

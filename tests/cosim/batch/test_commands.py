@@ -150,6 +150,15 @@ def test_ctrl_c_costs_what_is_under_way_and_no_more(short):
     assert Counter(entry["run"] for entry in log(short / "many")).most_common(1)[0][1] == 1, "none was done twice"
 
 
+def test_a_policy_that_does_not_fit_is_refused_before_anything_runs(short):
+    (short / "unfit.yaml").write_text(SHORT.replace("horizon: 2.0", "horizon: 2.0\n  history: 2.0"))
+    done = cosim("batch", "unfit.yaml", "--out", "unfit", cwd=short)
+    assert done.returncode == 2, done.stderr
+    assert "us101_car_following gri nominal plain seed" in done.stderr
+    assert "the policy wants 25 states" in done.stderr
+    assert not (short / "unfit").exists()
+
+
 def test_two_commands_do_not_share_a_folder(short):
     (short / "shared.yaml").write_text(SHORT)
     with started(short, "shared.yaml", "--workers", "1", "--out", "shared") as process:
