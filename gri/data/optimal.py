@@ -38,7 +38,9 @@ def make_highway_scenes(
     seed: int,
     progress: Progress = silent,
 ) -> Scenes:
-    """Scenes in random order, with their histories; starts from which even the optimum has a contact are left out."""
+    """Scenes in random order, with their histories; without those in which the optimum has a contact or, merging behind
+    the leader, ends ahead of it.
+    """
     generator = torch.Generator().manual_seed(seed)
     shares = scenes.mixed_graphs if graphs == "mixed" else scenes.one_graph
     parts = []
@@ -61,7 +63,8 @@ def _of_graph(scenes: HighwayMergeRange, share: SituationShare, wanted: int, gen
         edges = {(edge.sender, edge.receiver): edge.type for edge in share.edges}
         graph = InteractionGraph.of_edges(edges, scenes.vocabulary).map[0]
         found = drive_optimally(scenes, start, leader, graph)
-        good = ~in_contact(found.state) | (share.situation is Situation.PASSING)
+        behind = found.state[:, 2, -1, 0] > found.state[:, 0, -1, 0]
+        good = (~in_contact(found.state) & behind) | (share.situation is Situation.PASSING)
         kept.append(Scenes(found.state, found.action, found.graph, history)[good.nonzero()[:missing, 0]])
     return Scenes(*(torch.cat(values) for values in zip(*(vars(p).values() for p in kept), strict=True)))
 
