@@ -1,0 +1,68 @@
+"""`cosim stress` as a person uses it."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import yaml
+
+from cosim.branch import CAN_FORK
+from gri.resources import shipped
+
+pytestmark = pytest.mark.skipif(not CAN_FORK, reason="stress tests fork")
+OPTIONS = ("--policy", "idm,sumo", "--perturbation", "headway_ratio", "--intensity", "0.2,0.5", "--starts", "2")
+
+
+def stress(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "cosim", "stress", *arguments]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, timeout=600)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("stress")
+    content = yaml.safe_load(shipped("scenarios", "us101_car_following.yaml").read_text())
+    traffic = yaml.safe_load(shipped("scenarios/traffic", "us101_congested.yaml").read_text())
+    traffic["warm_up"] = 60
+    content |= {"traffic": traffic, "horizon": 2.0, "time_limit": 120}
+    (folder / "short.yaml").write_text(yaml.safe_dump(content))
+    return folder
+
+
+def test_a_stress_test_ends_with_tables_and_figures_and_goes_on_where_it_stopped(folder):
+    done = stress("short.yaml", *OPTIONS, "--out", "out", cwd=folder)
+    assert done.returncode == 0, done.stderr
+    names = {path.name for path in (folder / "out").iterdir()}
+    assert names == {
+        "chunks", "figures", "stress.md", "stress.json",
+        "episodes.parquet", "counts.parquet", "estimates.parquet", "differences.parquet",
+    }  # fmt: skip
+    assert {path.name for path in (folder / "out/figures").iterdir()} == {"headway_ratio.png", "headway_ratio.svg"}
+    rows = pd.read_parquet(folder / "out/episodes.parquet")
+    assert len(rows) == 2 * 3 * 2
+    report = (folder / "out/stress.md").read_text()
+    assert "| 0.2 | idm |" in report
+    facts = json.loads((folder / "out/stress.json").read_text())
+    assert facts["command"].startswith("cosim stress short.yaml --policy idm,sumo")
+    assert facts["worker_seconds"] > 0
+    chunk = next((folder / "out/chunks").glob("*.parquet"))
+    before = chunk.stat().st_mtime_ns
+    again = stress("short.yaml", *OPTIONS, "--out", "out", cwd=folder)
+    assert again.returncode == 0, again.stderr
+    assert chunk.stat().st_mtime_ns == before
+    pd.testing.assert_frame_equal(pd.read_parquet(folder / "out/episodes.parquet"), rows, check_exact=True)
+
+
+def test_bad_options_are_refused(folder):
+    for options, message in (
+        (("--perturbation", "fog"), "unknown kind 'fog'"),
+        (("--intensity", "much"), "expected numbers"),
+        (("--policy", "nobody"), "no checkpoint 'nobody'"),
+    ):
+        done = stress("short.yaml", *options, cwd=folder)
+        assert done.returncode == 2
+        assert message in done.stderr
+        assert "Traceback" not in done.stderr
