@@ -3,6 +3,7 @@
 import io
 import re
 from collections.abc import Sequence
+from typing import Any
 
 import matplotlib
 import numpy as np
@@ -15,7 +16,7 @@ from cosim.batch.figures import BY_NAME, Measure, complete
 INK = "#010203"  # becomes the page's text colour
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b87a00", "#56b4e9", "#7f7f7f")
 MARKERS = "osD^vPX"
-STYLE = {
+STYLE: Any = {
     "font.size": 9, "svg.fonttype": "none", "font.family": "sans-serif", "axes.spines.top": False,
     "axes.spines.right": False, "text.color": INK, "axes.labelcolor": INK, "axes.edgecolor": INK, "xtick.color": INK,
     "ytick.color": INK, "axes.titlesize": 9, "legend.frameon": False, "svg.hashsalt": "cosim",

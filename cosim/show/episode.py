@@ -96,7 +96,6 @@ def _of(table: pd.DataFrame, number: int, driver: str) -> pd.DataFrame:
 
 
 def _beliefs(tables: Mapping[str, pd.DataFrame], number: int, driver: str) -> tuple[Belief, ...]:
-    return tuple(
-        Belief(float(row.time), int(row.sender), int(row.receiver), str(row.type), float(row.probability))
-        for row in _of(tables["graphs"], number, driver).itertuples()
-    )
+    columns = ["time", "sender", "receiver", "type", "probability"]
+    rows = _of(tables["graphs"], number, driver)[columns].to_numpy().tolist()
+    return tuple(Belief(float(time), int(i), int(j), str(kind), float(p)) for time, i, j, kind, p in rows)
