@@ -229,9 +229,11 @@ def joined(parts: Sequence[Recorded]) -> Recorded:
     state, valid = (torch.cat([getattr(p.trajectory, name) for p in parts]) for name in ("state", "valid"))
     return Recorded(
         Trajectory(state, valid, first.dt),
-        torch.cat([p.graph for p in parts]),
-        *(np.concatenate([getattr(p, name) for p in parts]) for name in ("source", "split", "vehicle")),
-        torch.cat([p.length for p in parts]),
+        torch.cat([part.graph for part in parts]),
+        np.concatenate([part.source for part in parts]),
+        np.concatenate([part.split for part in parts]),
+        np.concatenate([part.vehicle for part in parts]),
+        torch.cat([part.length for part in parts]),
     )
 
 

@@ -38,6 +38,6 @@ def lateral(
     scale = generator.uniform(*DURATION, (count, 1)) / (2 * np.log(19.0))
     path = waves
     path[:, 0] += side * WIDTH / (1 + np.exp((time - middle) / scale))
-    v = np.gradient(path, dt, axis=-1)
+    v = np.asarray(np.gradient(path, dt, axis=-1))
     y, a = integrated(v, path, dt)
     return {"y": y, "vy": v, "ay": a}

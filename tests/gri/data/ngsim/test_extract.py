@@ -94,7 +94,7 @@ PAIRS = [(0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1)]
 
 
 def test_drawn_lane_changes_are_of_training_vehicles_and_obey_the_dynamics(tmp_path: Path):
-    both = pd.concat([platoon(3, frames=100), platoon(3, frames=100, first_id=301)])
+    both = pd.concat([platoon(3, frames=100), platoon(3, frames=100, first_id=301, lane=3)])
     made = cut(both, tmp_path, drawn=3)
     assert made.scenes["us-101, lateral motion drawn", "lane_changing_h2", "train"] == 9  # starts 0, 5, 10, three each
     assert not any(split == "test" for site, _, split in made.scenes if "drawn" in site)
