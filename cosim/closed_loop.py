@@ -27,7 +27,7 @@ from cosim.replay import Player, tracks_of, without_demand
 from cosim.scenario import Merge, Replay, Scenario
 from cosim.snapshot import Snapshot
 from cosim.sumo import Sumo, sumo
-from cosim.traffic import arguments, route_file
+from cosim.traffic import arguments, route_file, sign_file
 from gri.errors import InputError
 
 Tell = Callable[[str, int, int], None]  # (what, done, of)
@@ -42,6 +42,11 @@ class Files:
     net: Path
     routes: Path
     log: Path
+
+    @property
+    def signs(self) -> Path:
+        """Of variable speed signs, beside the route file."""
+        return self.routes.with_suffix(".signs.xml")
 
 
 @dataclass(frozen=True)
@@ -222,7 +227,9 @@ def prepared(scenario: Scenario) -> Scenario:
 @contextmanager
 def simulation(scenario: Scenario, files: Files) -> Iterator[RunningRoad]:
     """Start SUMO and check the scenario against its net."""
-    with sumo(arguments(scenario, str(files.net), str(files.routes), str(files.log)), files.log) as world:
+    files.signs.write_text(sign_file(scenario.traffic))
+    paths = (str(path) for path in (files.net, files.routes, files.signs, files.log))
+    with sumo(arguments(scenario, *paths), files.log) as world:
         known = world.edges()
         if missing := [edge for edge in scenario.road.edges if edge not in known]:
             raise InputError(f"road.edges: the net {files.net} has no edge {missing[0]!r}")

@@ -73,7 +73,7 @@ def run_job(
         "driver": tag_of(scenario.policy),
         "seed": scenario.seed,
         "episodes": scenario.episodes,
-        "sumo_arguments": arguments(scenario, inputs["net"].name, "routes.rou.xml", "sumo.log"),
+        "sumo_arguments": arguments(scenario, inputs["net"].name, "routes.rou.xml", "routes.signs.xml", "sumo.log"),
         "simulated_seconds": outcome.simulated,
         "infeasible_starts": dict(Counter(reason.value for _, reason in outcome.excluded)),
         "trunk_collision_steps": outcome.collisions,

@@ -10,7 +10,7 @@ from cosim.scenario import Flow, Scenario, Traffic, VehicleClass
 
 
 def route_file(traffic: Traffic, seed: int, end: float) -> str:
-    """SUMO's input: types, routes, every vehicle until `end` [s] in order of departure, and the bottleneck's sign.
+    """SUMO route file: types, routes and every vehicle until `end` [s], in order of departure.
 
     Each demand interval gets its exact number of vehicles (the rounding error is carried over), at uniformly random
     times: a Poisson process given its counts.
@@ -28,20 +28,23 @@ def route_file(traffic: Traffic, seed: int, end: float) -> str:
         for departure in _departures(traffic, flow, np.random.default_rng(stream), end)
     ]
     lines += [text for _, text in sorted(departures)]
-    lines += _variable_speed_sign(traffic)
     return "\n".join(["<routes>", *lines, "</routes>", ""])
 
 
-def _variable_speed_sign(traffic: Traffic) -> list[str]:
-    """SUMO changes the limits by itself, so that whoever shares or replays the past shares them (doc: VSS)."""
-    if traffic.bottleneck is None:
-        return []
-    steps = (
-        f'        <step time="{k * traffic.interval:g}" speed="{limit:g}"/>'
-        for k, limit in enumerate(traffic.bottleneck.limits)
-    )
-    lanes = quoteattr(" ".join(traffic.bottleneck.lanes))
-    return [f'    <variableSpeedSign id="bottleneck" lanes={lanes}>', *steps, "    </variableSpeedSign>"]
+def sign_file(traffic: Traffic) -> str:
+    """SUMO additional file: the bottleneck's variable speed sign, or nothing.
+
+    SUMO changes the limits by itself, so that whoever shares or replays the past shares them (doc: VSS).
+    """
+    lines = []
+    if traffic.bottleneck is not None:
+        steps = (
+            f'        <step time="{k * traffic.interval:g}" speed="{limit:g}"/>'
+            for k, limit in enumerate(traffic.bottleneck.limits)
+        )
+        lanes = quoteattr(" ".join(traffic.bottleneck.lanes))
+        lines = [f'    <variableSpeedSign id="bottleneck" lanes={lanes}>', *steps, "    </variableSpeedSign>"]
+    return "\n".join(["<additional>", *lines, "</additional>", ""])
 
 
 def _standard_normal(rng: np.random.Generator, n: int) -> np.ndarray:
@@ -112,14 +115,15 @@ def _departures(
             number += 1
 
 
-def arguments(scenario: Scenario, net: str, routes: str, log: str) -> list[str]:
+def arguments(scenario: Scenario, net: str, routes: str, signs: str, log: str) -> list[str]:
     """SUMO's command line for a scenario (without the program's name).
 
     Collisions are reported, never acted on; nobody teleports; overtaking on the right is allowed as on US freeways.
     """
     options = {
         "net-file": net,
-        "additional-files": routes,  # route files have no place for signs
+        "route-files": routes,
+        "additional-files": signs,
         "seed": scenario.seed,
         "step-length": f"{scenario.step:g}",
         "default.speeddev": 0,

@@ -25,7 +25,7 @@ def score_rows(wanted: Sequence[Job], cache: Path) -> pd.DataFrame:
         lines += [_line(job, metric, value) for metric, value in values.items()]
         lines += [_line(job, metric, value) for metric, value in _graph_scores(result).items()]
         spent = {name: job.made(cache).get(name) for name in ("seconds", "cpu_seconds")}
-        lines += [_line(job, f"training_{name}", _single(value)) for name, value in spent.items() if value]
+        lines += [_line(job, f"training_{name}", _single(value)) for name, value in spent.items() if value is not None]
     return pd.DataFrame(lines)
 
 

@@ -100,6 +100,7 @@ def test_same_seed_same_tables_other_seed_other_tables(outcome, short_scenario, 
     assert not tables_of(other, short_scenario)[0].equals(again[0])
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not CAN_FORK, reason="this system cannot fork; only replay exists here")
 def test_forked_and_replayed_branches_are_the_same(short_scenario, simulate):
     small = msgspec.structs.replace(short_scenario, episodes=5, horizon=2.0)

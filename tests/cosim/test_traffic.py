@@ -60,11 +60,11 @@ def test_a_longer_demand_begins_with_the_shorter_one(scenario):
 
 
 def test_arguments_are_plain_tokens(scenario):
-    tokens = arguments(scenario, "a.net.xml", "b.rou.xml", "c.log")
+    tokens = arguments(scenario, "a.net.xml", "b.rou.xml", "b.signs.xml", "c.log")
     options = dict(zip(tokens[::2], tokens[1::2], strict=True))
     assert options["--collision.action"] == "warn"
     assert options["--time-to-teleport"] == "-1"
     assert options["--seed"] == "1"
     assert options["--step-length"] == "0.2"
     changed = msgspec.structs.replace(scenario, seed=9)
-    assert "9" in arguments(changed, "a", "b", "c")
+    assert "9" in arguments(changed, "a", "b", "s", "c")

@@ -68,6 +68,7 @@ def test_one_worker_writes_the_same_bytes_as_two(short):
     assert one == two
 
 
+@pytest.mark.slow
 def test_a_second_call_repeats_nothing_and_a_changed_file_only_what_changed(short):
     (short / "changing.yaml").write_text(SHORT)
     arguments = ("batch", "changing.yaml", "--workers", 2, "--out", "changing")
@@ -85,6 +86,7 @@ def test_a_second_call_repeats_nothing_and_a_changed_file_only_what_changed(shor
     assert len(log(short / "changing")) == len(before) + 2, "changing back costs nothing"
 
 
+@pytest.mark.slow
 def test_failures_are_listed_with_their_reason_and_tried_again_on_demand(short):
     text = SHORT + "variants:\n  fine: {}\n  lost: {group: {max_gap: 2.001}}\n"
     (short / "failing.yaml").write_text(text)
@@ -108,6 +110,7 @@ def limited(bytes_: int) -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (bytes_, bytes_))
 
 
+@pytest.mark.slow
 def test_no_room_for_results_fails_the_runs_and_leaves_nothing_half_written(short):
     """A limit on the size of files stands in for a full disk: writing fails in the middle of a table."""
     command = [sys.executable, "-m", "cosim", "batch", "short.yaml", "--workers", "2", "--out", "full"]
@@ -132,6 +135,7 @@ def started(folder: Path, *arguments: str) -> subprocess.Popen[str]:
     return subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
+@pytest.mark.slow
 def test_ctrl_c_costs_what_is_under_way_and_no_more(short):
     (short / "many.yaml").write_text(SHORT.replace("[1, 2]", "{count: 15}"))
     with started(short, "many.yaml", "--workers", "2", "--out", "many") as process:
@@ -159,8 +163,9 @@ def test_a_policy_that_does_not_fit_is_refused_before_anything_runs(short):
     assert not (short / "unfit").exists()
 
 
+@pytest.mark.slow
 def test_two_commands_do_not_share_a_folder(short):
-    (short / "shared.yaml").write_text(SHORT)
+    (short / "shared.yaml").write_text(SHORT.replace("[1, 2]", "{count: 15}"))
     with started(short, "shared.yaml", "--workers", "1", "--out", "shared") as process:
         while not (short / "shared/.lock").exists():
             time.sleep(0.05)
