@@ -215,6 +215,7 @@ def test_low_friction_limits_what_is_driven(scenario, simulate):
         assert np.abs(driven).max() <= 0.981 + 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not CAN_FORK, reason="this system cannot fork; only replay exists here")
 @pytest.mark.parametrize("kinds", [{"headway_ratio": 0.3}, {"leader_braking": 3.0, "observation_noise": 0.5}])
 def test_forked_and_replayed_interventions_are_the_same(scenario, simulate, kinds):

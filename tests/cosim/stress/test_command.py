@@ -32,6 +32,7 @@ def folder(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_stress_test_ends_with_tables_and_figures_and_goes_on_where_it_stopped(folder):
     done = stress("short.yaml", *OPTIONS, "--out", "out", cwd=folder)
     assert done.returncode == 0, done.stderr
