@@ -11,21 +11,12 @@ from gri.graph import EdgeType, InteractionGraph, pairs
 
 def overruled(graph: InteractionGraph, source: GraphSource, rule: GroupRule, third: bool = True) -> InteractionGraph:
     """The inferred graph with the edges that the source knows better; without a `third` vehicle none with it."""
-    if not third:
-        return without(overruled(graph, source, rule), 2)
-    known = _known(source, rule)
+    known = {**_known(source, rule), **({} if third else {pair: EdgeType.NONE for pair in pairs(3) if 2 in pair})}
     if not known:
         return graph
     which = torch.tensor([pair in known for pair in pairs(3)])
     certain = InteractionGraph.of_edges(known, graph.vocabulary, batch=len(graph))
     return InteractionGraph(torch.where(which[:, None], certain.logits, graph.logits), graph.vocabulary)
-
-
-def without(graph: InteractionGraph, role: int) -> InteractionGraph:
-    """The graph without any edge from or to one vehicle."""
-    which = torch.tensor([role in pair for pair in pairs(3)])
-    none = InteractionGraph.of_edges({}, graph.vocabulary, batch=len(graph))
-    return InteractionGraph(torch.where(which[:, None], none.logits, graph.logits), graph.vocabulary)
 
 
 def _known(source: GraphSource, rule: GroupRule) -> Mapping[tuple[int, int], EdgeType]:

@@ -1,7 +1,9 @@
 """How commands speak: results to standard output, progress and errors to standard error."""
 
 import time
+from abc import ABC
 from dataclasses import dataclass
+from typing import Self
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
@@ -19,7 +21,22 @@ def next_command(command: str) -> None:
     console.print(f"Next: [bold]{command}[/bold]", soft_wrap=True)
 
 
-class Stages:
+class _Bars(ABC):
+    """Bars that are shown in a terminal only, as long as the block lasts."""
+
+    _bars: Progress
+
+    def __enter__(self) -> Self:
+        if errors.is_terminal:
+            self._bars.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if errors.is_terminal:
+            self._bars.stop()
+
+
+class Stages(_Bars):
     """A bar per stage in a terminal; elsewhere a plain line per stage and per quarter of it."""
 
     def __init__(self) -> None:
@@ -31,15 +48,6 @@ class Stages:
         self._bars = Progress(*columns, TimeElapsedColumn(), console=errors)
         self._stages: dict[str, int] = {}
         self._plain: dict[str, int] = {}
-
-    def __enter__(self) -> "Stages":
-        if errors.is_terminal:
-            self._bars.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if errors.is_terminal:
-            self._bars.stop()
 
     def tell(self, stage: str, done: int, of: int) -> None:
         if not errors.is_terminal:
@@ -67,7 +75,7 @@ class Tally:
         return self.total - self.done - self.failed
 
 
-class Runs:
+class Runs(_Bars):
     """Progress of a batch: a bar in a terminal; elsewhere a plain line per 5 % and at least every half minute."""
 
     def __init__(self) -> None:
@@ -81,15 +89,6 @@ class Runs:
         self._began = self._told = time.monotonic()
         self._bar: TaskID | None = None
         self._share = -1
-
-    def __enter__(self) -> "Runs":
-        if errors.is_terminal:
-            self._bars.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        if errors.is_terminal:
-            self._bars.stop()
 
     def tell(self, tally: Tally) -> None:
         ended, now = tally.done + tally.failed, time.monotonic()
