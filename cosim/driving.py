@@ -87,19 +87,20 @@ def drive(
             record.hand_back(world, frame, ended=set(active) - set(record.active))
             pilot.observe(frame if intervention is None else intervention.show(frame, now), record.active)
         frames.append(frame.carried_on(frames[-1]))
+    time = np.array([frame.time for frame in frames])
     return [
         Episode(
             driver=task.undriven if driver is None else driver.name,
             group=group,
-            time=np.array([frame.time for frame in frames]),
+            time=time,
             state=np.stack([frame.state[g] for frame in frames]),
             valid=np.stack([frame.valid[g] for frame in frames]),
-            driven=record.driven(np.array([frame.time for frame in frames]), g) & (pilot is not None),
+            driven=record.driven(time, g) & (pilot is not None),
             length=length[g],
             width=width[g],
             order=order_of(task.rule),
             graph=_graph(pilot, g, record.ends[g]),
-            graph_time=np.array([time for time, _ in _graphs(pilot, record.ends[g])]),
+            graph_time=np.array([at for at, _ in _graphs(pilot, record.ends[g])]),
             ending=record.endings[g],
             end=record.ends[g],
             events=tuple(record.events[g]) + hard_braking(frames, g, group, task.owned, record.ends[g]),

@@ -63,7 +63,8 @@ class Around:
 
     def stepped(self, entered: Sequence[str], gone: Sequence[str]) -> None:
         """One step later."""
-        self.ids = [vehicle for vehicle in [*self.ids, *entered] if vehicle not in set(gone)]
+        left = set(gone)
+        self.ids = [vehicle for vehicle in [*self.ids, *entered] if vehicle not in left]
         self.age += 1
 
 
