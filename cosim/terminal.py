@@ -3,7 +3,7 @@
 import time
 from abc import ABC
 from dataclasses import dataclass
-from typing import Self
+from typing import TypeVar
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
@@ -21,12 +21,16 @@ def next_command(command: str) -> None:
     console.print(f"Next: [bold]{command}[/bold]", soft_wrap=True)
 
 
+# typing.Self would say the same, but the run-time type checker of the tests cannot follow it here.
+B = TypeVar("B", bound="_Bars")
+
+
 class _Bars(ABC):
     """Bars that are shown in a terminal only, as long as the block lasts."""
 
     _bars: Progress
 
-    def __enter__(self) -> Self:
+    def __enter__(self: B) -> B:
         if errors.is_terminal:
             self._bars.start()
         return self
