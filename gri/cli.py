@@ -11,8 +11,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from gri import checkpoint, resources
+from gri.data.ngsim.extract import scene_file
 from gri.data.recorded import recorded_scenes
-from gri.data.store import Splits, scenes_of, scenes_path
+from gri.data.store import Splits, recorded_splits, scenes_of, scenes_path
 from gri.display import Bar, console, next_command
 from gri.errors import InputError
 from gri.evaluate import Evaluation, evaluate
@@ -49,11 +50,15 @@ def train_command(
     seed: Annotated[int, typer.Option(help="Seed of the weights and of the training.")] = 0,
     out: Annotated[Path | None, typer.Option(help="Checkpoint to write; default runs/NAME-sSEED.pt.")] = None,
     scenes: ScenesOption = SCENES,
+    ngsim: Annotated[
+        Path | None,
+        typer.Option(help="For ngsim_…: a file of `gri ngsim scenes`, or a folder of NGSIM files to cut."),
+    ] = None,
 ) -> None:
     """2. Train a model and write its checkpoint."""
     chosen = _read(config)
     path = out or Path("runs") / f"{chosen.name}-s{seed}.pt"
-    splits = _scenes(chosen, scenes)
+    splits = _scenes(chosen, scenes) if ngsim is None else _recorded(chosen, ngsim, scenes)
     with Bar() as progress:
         trained = train(chosen, splits, seed, progress)
     checkpoint.save(path, trained.model, trained.reward, trained.provenance)
@@ -150,6 +155,13 @@ def _read(config: str) -> TrainConfig:
 def _scenes(config: TrainConfig, folder: Path) -> Splits:
     with Bar() as progress:
         return scenes_of(config.data, folder, progress)
+
+
+def _recorded(config: TrainConfig, source: Path, folder: Path) -> Splits:
+    if config.data.recorded is None:
+        raise InputError(f"got --ngsim, but {config.name} learns from synthetic scenes; leave it out")
+    with Bar() as progress:
+        return recorded_splits(config.data.recorded, scene_file(source, folder, progress))
 
 
 def _table(name: str, result: Evaluation, scenes: int) -> Table:

@@ -12,15 +12,12 @@ import torch
 
 from gri import checkpoint, idm, ood, resources
 from gri import recorded_scores as scores
-from gri.data.ngsim.extract import extract
-from gri.data.ngsim.rules import Rules
 from gri.data.recorded import recorded_scenes
 from gri.data.recorded_ranges import RECORDED, RecordedRange
-from gri.data.scenes_file import Recorded, header_of
+from gri.data.scenes_file import Recorded
 from gri.data.store import Splits
 from gri.data.synthetic import Scenes
 from gri.dynamics import dynamics_named
-from gri.errors import InputError
 from gri.evaluate import believed
 from gri.graph import EdgeType
 from gri.jobs import write
@@ -83,25 +80,15 @@ class Job:
         return msgspec.json.decode((self.folder(cache, file) / "result.json").read_bytes())
 
 
-def scene_file(source: Path, folder: Path, progress: Progress = silent) -> Path:
-    """A scene file as it is, or the one cut from all NGSIM files of a folder, kept under a name that says the rules."""
-    if source.is_file():
-        header_of(source)
-        return source
-    files = sorted(p for p in source.glob("*") if p.name.lower().endswith((".txt", ".csv", ".gz", ".zip")))
-    if not files:
-        raise InputError(f"{source}: got no NGSIM files (.txt, .csv, .gz, .zip) and no scene file; give either")
-    key = msgspec.json.encode([[(p.name, p.stat().st_size) for p in files], Rules()])
-    path = folder / f"ngsim-{hashlib.sha256(key).hexdigest()[:10]}.parquet"
-    if not path.is_file():
-        extract(files, path, Rules(), progress=progress)
-    return path
-
-
 def digest(path: Path) -> str:
     """Which scenes: the hash of the file."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()[:16]
+
+
+def sites(scenario: str, path: Path) -> list[str]:
+    """Where the test scenes are from."""
+    return sorted(set(recorded_scenes(path, RECORDED[scenario], "test")[1].source.tolist()))
 
 
 def jobs_of(scenario: str, seeds: int, sites: Sequence[str], names: Sequence[str] = ()) -> list[Job]:

@@ -9,12 +9,12 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-import pyarrow.parquet as pq
 import torch
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 
 from gri import table2
+from gri.data.ngsim.extract import scene_file
 from gri.data.scenes_file import header_of
 from gri.figures import COLOURS, STYLE, frequency_matrix, save
 from gri.metrics import summary
@@ -46,9 +46,8 @@ def publish(
 ) -> list[Path]:
     """Make what is missing, then write everything; returns the files."""
     began = time.monotonic()
-    path = table2.scene_file(source, cache, progress)
-    sites = sorted({str(s) for s in pq.read_table(path, columns=["source"])["source"].unique().to_pylist()})
-    wanted = table2.jobs_of(scenario, seeds, sites, names)
+    path = scene_file(source, cache, progress)
+    wanted = table2.jobs_of(scenario, seeds, table2.sites(scenario, path), names)
     results: Results = []
     for done, job in enumerate(wanted):
         results.append((job, table2.run(job, path, cache, progress)))

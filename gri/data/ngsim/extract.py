@@ -20,7 +20,7 @@ from gri.data.ngsim.lane_changing import GRAPHS, Reading, groups
 from gri.data.ngsim.recordings import Recording, shelve
 from gri.data.ngsim.rules import FREEWAYS, Rules, splits_of
 from gri.data.ngsim.smoothing import Motion, smoothed
-from gri.data.scenes_file import Header, SceneBlock, names_of, writing
+from gri.data.scenes_file import Header, SceneBlock, header_of, names_of, writing
 from gri.errors import InputError
 from gri.model import CHAIN, Edge
 from gri.progress import Progress, silent
@@ -77,6 +77,24 @@ def extract(
         if not scenes:
             raise InputError(f"{', '.join(map(str, paths))}: no scene keeps the rules; see `gri ngsim inspect`")
     return Extracted(scenes, rejected, tuple(reports))
+
+
+def scene_file(source: Path, folder: Path, progress: Progress = silent) -> Path:
+    """A scene file as it is, or the one cut from an NGSIM file or a folder of them, kept under a name that says the
+    rules. Errors: `InputError` where there is neither.
+    """
+    if source.suffix == ".parquet":
+        header_of(source)
+        return source
+    found = [source] if source.is_file() else sorted(source.glob("*"))
+    files = [p for p in found if p.name.lower().endswith((".txt", ".csv", ".gz", ".zip"))]
+    if not files:
+        raise InputError(f"{source}: got no NGSIM files (.txt, .csv, .gz, .zip) and no scene file; give either")
+    key = msgspec.json.encode([[(p.name, p.stat().st_size) for p in files], Rules()])
+    path = folder / f"ngsim-{hashlib.sha256(key).hexdigest()[:10]}.parquet"
+    if not path.is_file():
+        extract(files, path, Rules(), progress=progress)
+    return path
 
 
 def _motion(recording: Recording, rules: Rules, rejected: Counter[tuple[str, str]]) -> tuple[Motion | None, Quality]:
