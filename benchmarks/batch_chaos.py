@@ -41,12 +41,12 @@ def is_run(pid: int) -> bool:
         return False
 
 
-def shoot(pid: int, kills: int, rng: random.Random) -> int:
+def shoot(command: subprocess.Popen[bytes], kills: int, rng: random.Random) -> int:
     """Kill so many at random moments, as long as the command lives; how many it were."""
     done = 0
-    while done < kills and Path(f"/proc/{pid}/task").exists():
+    while done < kills and command.poll() is None:
         time.sleep(rng.uniform(0.5, 4.0))
-        victims = [victim for victim in descendants(pid) if is_run(victim)]
+        victims = [victim for victim in descendants(command.pid) if is_run(victim)]
         if victims:
             try:
                 os.kill(rng.choice(victims), signal.SIGKILL)
@@ -66,7 +66,7 @@ def main() -> None:
     rng, kills, began = random.Random(1), 0, time.monotonic()
     for _ in range(options.lives - 1):
         with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
-            kills += shoot(process.pid, options.kills // (options.lives - 1), rng)
+            kills += shoot(process, options.kills // (options.lives - 1), rng)
             process.kill()
     subprocess.run([*command, "--retry-failed"], check=True)
     states = json.loads((options.out / "manifest.json").read_text())["states"]

@@ -30,6 +30,7 @@ class Ending(StrEnum):
 
 INTERRUPTED = frozenset({Ending.CUT_IN, Ending.LANE_LEFT, Ending.LOST})
 ARRIVED = frozenset({Ending.HORIZON, Ending.MERGED})
+LEFT_ALONE = frozenset({"sumo", "recorded"})  # drivers of groups that no policy took
 
 
 class EventKind(StrEnum):

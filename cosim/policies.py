@@ -21,7 +21,14 @@ def driver_of(scenario: spec.Scenario) -> Driver | None:
     policy = policy_of(scenario)
     if policy is None:
         return None
-    return Driver(spec.tag_of(scenario.policy), policy, scenario.graph, scenario.steps(scenario.reinfer_s))
+    return Driver(_name(scenario.policy), policy, scenario.graph, scenario.steps(scenario.reinfer_s))
+
+
+def _name(policy: spec.Driver) -> str:
+    """The kind of policy; of a checkpoint, what it was trained for."""
+    if isinstance(policy, spec.Trained):
+        return checkpoint.objective(checkpoint_path(policy.checkpoint))
+    return spec.tag_of(policy)
 
 
 def policy_of(scenario: spec.Scenario) -> Policy | None:

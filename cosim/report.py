@@ -13,16 +13,18 @@ from matplotlib.patches import Circle, FancyArrowPatch
 from rich.markup import escape
 from rich.table import Table
 
-from cosim.episode import ARRIVED, INTERRUPTED, Ending
+from cosim.episode import ARRIVED, INTERRUPTED, LEFT_ALONE, Ending
 
 DRIVER_NAMES = {
     "gri": "GRI",
+    "airl": "GRI (paper)",
+    "nri": "NRI",
+    "supervised": "Supervised",
     "idm": "IDM",
     "constant_velocity": "constant velocity",
     "sumo": "left to SUMO",
     "recorded": "as recorded",
 }
-LEFT_ALONE = ("sumo", "recorded")  # drivers of groups that no policy took
 ROLE_COLOURS = ("#0072b2", "#d55e00", "#444444")
 EDGE_COLOURS = {"follow": "#009e73", "yield": "#e69f00", "cut_in": "#cc79a7"}
 ROLES = {

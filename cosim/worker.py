@@ -17,12 +17,16 @@ class WorkerError(RuntimeError):
     """The worker failed or died; the message says how and where its log is."""
 
 
+class WorkerDeath(InputError):
+    """The worker died before it told anything, which a broken net or route file makes SUMO do."""
+
+
 def run_in_worker(target: str, *arguments: Any, log: Path, tell: Callable[..., None]) -> Any:
     """Call `target(*arguments, tell)` in a spawned process and return its result.
 
     The target is named ("module:function"), so that this process need not import torch and SUMO. What the worker and
     SUMO print goes to `log`, what the target tells goes to `tell`. InputErrors come back as they are, everything else
-    as a WorkerError. The worker ends with this call, however it ends.
+    as a WorkerError, or as a WorkerDeath before anything was told. The worker ends with this call, however it ends.
     """
     context = get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
@@ -51,10 +55,10 @@ def run_in_worker(target: str, *arguments: Any, log: Path, tell: Callable[..., N
         receiver.close()
 
 
-def _death(exit_code: int | None, log: Path, told: bool) -> InputError | WorkerError:
+def _death(exit_code: int | None, log: Path, told: bool) -> WorkerDeath | WorkerError:
     cause = signal.Signals(-exit_code).name if exit_code and exit_code < 0 else f"exit code {exit_code}"
     if not told:
-        return InputError(f"SUMO crashed ({cause}) while it read its input; the net or the routes are broken")
+        return WorkerDeath(f"SUMO crashed ({cause}) while it read its input; the net or the routes are broken")
     return WorkerError(f"the simulation crashed ({cause}); its last words: {_tail(log)}")
 
 

@@ -95,6 +95,11 @@ def provenance(path: Path | str) -> dict[str, Any]:
     return msgspec.json.decode(_read(Path(path))["provenance"])
 
 
+def objective(path: Path | str) -> str:
+    """What the model was trained for: "gri", "nri", "supervised", …; "gri" where the file does not say."""
+    return provenance(path).get("config", {}).get("objective", {}).get("type", "gri").removesuffix("_recorded")
+
+
 _REMAKE = "make it again with `gri train`"
 
 

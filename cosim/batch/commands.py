@@ -2,6 +2,7 @@
 
 import os
 import time
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -38,12 +39,13 @@ def batch(
         return next_command(f"cosim batch {file}")
     from cosim.batch.execute import execute
     from cosim.batch.store import Store
-    from cosim.worker import run_in_worker
+    from cosim.worker import WorkerDeath, run_in_worker
 
     folder = out or Path("runs", "batch", path.stem)
     ended = Store(folder).finished() | set(Store(folder).failures())
     if waiting := [run for run in runs if run.id not in ended]:
-        with TemporaryDirectory() as scratch:
+        # Whatever kills the check would kill the runs as well, which is what their retries and records are for.
+        with TemporaryDirectory() as scratch, suppress(WorkerDeath):
             run_in_worker("cosim.batch.work:check", waiting, log=Path(scratch, "log"), tell=lambda *_: None)
     say(f"{len(runs)} runs; results: {folder}")
     began = time.monotonic()

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from cosim.episode import INTERRUPTED
+from cosim.episode import INTERRUPTED, LEFT_ALONE
 from cosim.statistics import Estimate, PairedTest, bootstrap_mean, bootstrap_median, mcnemar, paired_difference, wilson
 
 CELL = ("scenario", "policy", "perturbation", "intensity", "variant", "seed")
@@ -65,8 +65,8 @@ BY_NAME = {measure.name: measure for measure in MEASURES}
 
 def driven(groups: pd.DataFrame) -> pd.DataFrame:
     """The groups that the policies of the batch drove, without their counterparts left to SUMO."""
-    null_runs = groups.groupby("run")["driver"].transform(lambda drivers: (drivers == "sumo").all())
-    return groups[(groups["driver"] != "sumo") | null_runs]
+    left_alone = groups["driver"].isin(LEFT_ALONE)
+    return groups[~left_alone | left_alone.groupby(groups["run"]).transform("all")]
 
 
 def with_counterparts(groups: pd.DataFrame) -> pd.DataFrame:

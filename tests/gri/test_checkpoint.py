@@ -111,3 +111,13 @@ def test_released_checkpoints_load_and_are_small(name: str):
     model = checkpoint.load(path)
     assert model.history_steps == 25
     assert path.stat().st_size < 500_000
+
+
+@pytest.mark.parametrize(
+    ("config", "wanted"),
+    [({"type": "nri"}, "nri"), ({"type": "gri_recorded"}, "gri"), (None, "gri")],
+)
+def test_the_objective_is_what_the_model_was_trained_for(tmp_path: Path, config: dict[str, str] | None, wanted: str):
+    made = {"config": {"objective": config}} if config else {}
+    checkpoint.save(tmp_path / "model.pt", RelationalModel(ModelConfig(history_steps=8)), provenance=made)
+    assert checkpoint.objective(tmp_path / "model.pt") == wanted
