@@ -13,6 +13,7 @@ from rich.table import Table
 from gri import checkpoint, resources
 from gri.data.ngsim.extract import scene_file
 from gri.data.recorded import recorded_scenes
+from gri.data.recorded_ranges import RECORDED
 from gri.data.store import Splits, recorded_splits, scenes_of, scenes_path
 from gri.display import Bar, console, next_command
 from gri.errors import InputError
@@ -112,7 +113,7 @@ def reproduce_command(
     from gri.publish import publish  # brings pandas and matplotlib, which the other commands need not wait for
 
     if target == "table2":
-        _reproduce_table2(ngsim, seeds, out, cache, tuple(row or ()))
+        _reproduce_table2(ngsim, scenario, seeds, out, cache, tuple(row or ()))
         return
     if target not in TABLES:
         raise InputError(f"got {target}, wanted one of {', '.join([*TABLES, 'table2'])}")
@@ -129,13 +130,19 @@ def reproduce_command(
     next_command(following.get(target, "cosim --help"))
 
 
-def _reproduce_table2(ngsim: Path | None, seeds: int, out: Path, cache: Path, rows: tuple[str, ...]) -> None:
+def _reproduce_table2(
+    ngsim: Path | None, scenario: str | None, seeds: int, out: Path, cache: Path, rows: tuple[str, ...]
+) -> None:
     from gri.table2_report import publish  # brings matplotlib
 
     if ngsim is None:
         raise InputError("table2 needs recorded data: give --ngsim FOLDER with NGSIM files, or a scene file")
+    if scenario is not None and scenario not in RECORDED:
+        raise InputError(f"got scenario {scenario}, wanted one of {', '.join(RECORDED)}")
+    written = []
     with Bar() as progress:
-        written = publish("ngsim_car_following", ngsim, seeds, out, cache, rows, progress)
+        for name in [scenario] if scenario else RECORDED:
+            written += publish(name, ngsim, seeds, out / name.removeprefix("ngsim_"), cache, rows, progress)
     for path in written:
         console.print(str(path), soft_wrap=True)
     next_command("gri reproduce figures")

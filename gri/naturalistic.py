@@ -9,9 +9,14 @@ point of collision, and g_time = ReLU(h − (T_i − T_j))² would have whoever 
 them.
 
 What the networks read is less than the paper's x_i, x_j: a reference for v_j that reads v_j can equal it, and the term
-says nothing any more. So h1 is one number, h2 reads the headway and v_i, h3 the two speeds. Networks learn what h2 adds
-to v_i, and h3 to a headway that grows with v_j; begun without these, the likelihood drove h2 to 0. Outputs are
-softplus, a ReLU that cannot die.
+says nothing any more. So h1 is one number, h2 reads the headway and v_i, h3 the two speeds. Outputs are softplus, a
+ReLU that cannot die.
+
+What makes one graph likelier than another is said by two rules, which the networks refine. Nobody heeding anyone would
+drive at the free speed, h1, which is far above that of dense traffic. Whoever follows wants the speed of the vehicle
+ahead and a headway that grows with it, h2 = v_i + κ·(x_i − x_j − s − T·v_i), so that a vehicle two ahead, at twice the
+headway, is not what it follows. Networks alone find a likelihood as high in which h2 is near 0 and does no more than
+hold h1 back; then it hardly matters who is followed.
 """
 
 import msgspec
@@ -29,12 +34,16 @@ class References(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Size of the reference networks, where they begin, and the range of the point of collision."""
 
     hidden: int = 16
-    speed: float = 12.0
-    """h1 before training [m/s]."""
+    speed: float = 25.0
+    """h1 before training, the free speed of an urban freeway [m/s]."""
     headway: float = 6.0
-    """h3 of standing vehicles before training [m]."""
+    """h3 of standing vehicles before training, and s of h2 [m]."""
     time_headway: float = 0.8
-    """By how much h3 grows with v_j before training [s]."""
+    """By how much h3 grows with v_j before training, and T of h2 [s]."""
+    closing: float = 0.2
+    """κ before training [1/s]."""
+    correction: float = 1.0
+    """What the network may add to h2, or take away from it [m/s]."""
     distance: float = 10.0
     """h_d before training [m]."""
     time: float = 1.0
@@ -59,6 +68,7 @@ class ReferenceNetworks(nn.Module):
         super().__init__()
         self.config = config
         self.h1 = nn.Parameter(_before(config.speed / config.speed_unit))
+        self.kappa = nn.Parameter(_before(config.closing))
         self.h2 = mlp([2, config.hidden, config.hidden, 1], last_scale=0.1)
         self.h3 = mlp([2, config.hidden, config.hidden, 1], last_scale=0.1)
         if yielding:
@@ -72,8 +82,10 @@ class ReferenceNetworks(nn.Module):
     def speed(self, headway: Value, sender_speed: Value) -> Value:
         """h2 [m/s]."""
         c = self.config
-        added = _answer(self.h2, (headway / c.length_unit).clamp(-2, 4), sender_speed / c.speed_unit)
-        return softplus(sender_speed / c.speed_unit + added) * c.speed_unit
+        surplus = headway - c.headway - c.time_headway * sender_speed
+        added = _answer(self.h2, (headway / c.length_unit).clamp(-2, 4), sender_speed / c.speed_unit).tanh()
+        wanted = sender_speed + softplus(self.kappa) * surplus + c.correction * added
+        return softplus(wanted / c.speed_unit) * c.speed_unit
 
     def headway(self, sender_speed: Value, receiver_speed: Value) -> Value:
         """h3 [m]."""

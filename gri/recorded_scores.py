@@ -1,6 +1,6 @@
 """What is measured on recorded scenes: Table 2, and what it leaves out (Sec. VI-D, VI-E)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import torch
@@ -146,3 +146,14 @@ def pooled(success: float, scenes: int) -> Summary:
     hits = round(success * scenes)
     values: Bool[Tensor, " S"] = torch.arange(scenes) < hits
     return metrics.proportion(values)
+
+
+def clustered(values: Float[Tensor, " S"], cluster: Sequence[int]) -> float:
+    """Half the width of the 95 % interval of the mean when scenes of one cluster are not independent of each other.
+
+    The variance of the mean is Σ_c (Σ_{s in c} (value_s − mean))² / S², times C / (C − 1) for C clusters.
+    """
+    away, numbers = values - values.mean(), torch.tensor(cluster)
+    sums = torch.stack([away[numbers == number].sum() for number in numbers.unique()])
+    count = len(sums)
+    return 1.96 * float((sums.square().sum() * count / max(count - 1, 1)).sqrt()) / len(values)

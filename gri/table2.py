@@ -10,7 +10,7 @@ from typing import Any
 import msgspec
 import torch
 
-from gri import checkpoint, idm, ood, resources
+from gri import checkpoint, idm, ood, resources, table2_lanes
 from gri import recorded_scores as scores
 from gri.data.recorded import recorded_scenes
 from gri.data.recorded_ranges import RECORDED, RecordedRange
@@ -18,6 +18,7 @@ from gri.data.scenes_file import Recorded
 from gri.data.store import Splits
 from gri.data.synthetic import Scenes
 from gri.dynamics import dynamics_named
+from gri.errors import InputError
 from gri.evaluate import believed
 from gri.graph import EdgeType
 from gri.jobs import write
@@ -72,9 +73,11 @@ class Job:
         return read_train_config(resources.shipped("scenarios", "train", f"{self.scenario}{self.row.suffix}.yaml"))
 
     def folder(self, cache: Path, file: str) -> Path:
-        content = msgspec.json.encode([VERSION, self.config, self.scenes, self.seed, self.site, file, self.row.meaning])
+        content = [VERSION, self.config, self.scenes, self.seed, self.site, file, self.row.meaning]
+        content += [table2_lanes.FOLDS, table2_lanes.TUNING] if self.scenes.reward.lanes else []
+        key = hashlib.sha256(msgspec.json.encode(content)).hexdigest()[:10]
         name = f"{self.scenario}{self.row.suffix or ('_idm' if self.row is IDM else '')}-s{self.seed}"
-        return cache / f"{name}{f'-{self.site}' if self.site else ''}-{hashlib.sha256(content).hexdigest()[:10]}"
+        return cache / f"{name}{f'-{self.site}' if self.site else ''}-{key}"
 
     def result(self, cache: Path, file: str) -> dict[str, Any]:
         return msgspec.json.decode((self.folder(cache, file) / "result.json").read_bytes())
@@ -92,9 +95,18 @@ def sites(scenario: str, path: Path) -> list[str]:
 
 
 def jobs_of(scenario: str, seeds: int, sites: Sequence[str], names: Sequence[str] = ()) -> list[Job]:
-    """All rows seed by seed, then one seed of the transfers; `names` leaves out other rows."""
+    """All rows seed by seed, then one seed of the transfers; `names` leaves out other rows.
+
+    Lane changes have no IDM and, as all of them are needed, no transfers. Errors: `InputError` for an unknown row.
+    """
+    unknown = [name for name in names if name not in [row.name for row in ROWS]]
+    if unknown:
+        raise InputError(f"got row {unknown[0]}, wanted one of {', '.join(row.name for row in ROWS)}")
     rows = [row for row in ROWS if not names or row.name in names]
-    made = [Job(scenario, IDM, 0), *(Job(scenario, row, seed) for seed in range(seeds) for row in rows)]
+    made = [Job(scenario, row, seed) for seed in range(seeds) for row in rows]
+    if RECORDED[scenario].reward.lanes:
+        return made
+    made.insert(0, Job(scenario, IDM, 0))
     if len(sites) > 1:
         made += [Job(scenario, row, 0, site) for row in (IDM, *rows) if row.transfers for site in sites]
     return made
@@ -104,15 +116,25 @@ def run(job: Job, path: Path, cache: Path, progress: Progress = silent) -> dict[
     """Do the job unless it is done; the result appears last and whole."""
     folder = job.folder(cache, digest(path))
     if not (folder / "result.json").is_file():
-        parts = {split: recorded_scenes(path, job.scenes, split) for split in ("train", "validation", "test")}
-        chosen = _of_site(*parts["train"], job.site)
         began = time.process_time()
-        result = _calibrated(job, chosen, parts["test"], progress) if job.config is None else None
-        if result is None:
-            splits = Splits(chosen, parts["validation"][0], parts["test"][0])
-            result = _examined(job, _model(job, splits, folder, progress), splits, parts["test"][1])
+        made = _lanes if job.scenes.reward.lanes else _following
+        result = made(job, path, folder, progress)
         write(folder / "result.json", result | {"cpu_seconds": round(time.process_time() - began, 1)})
     return job.result(cache, digest(path))
+
+
+def _lanes(job: Job, path: Path, folder: Path, progress: Progress) -> dict[str, Any]:
+    assert job.config is not None
+    return table2_lanes.cross_validated(job.config, job.scenes, path, folder, job.seed, job.row.meaning, progress)
+
+
+def _following(job: Job, path: Path, folder: Path, progress: Progress) -> dict[str, Any]:
+    parts = {split: recorded_scenes(path, job.scenes, split) for split in ("train", "validation", "test")}
+    chosen = _of_site(*parts["train"], job.site)
+    if job.config is None:
+        return _calibrated(job, chosen, parts["test"], progress)
+    splits = Splits(chosen, parts["validation"][0], parts["test"][0])
+    return _examined(job, _model(job, splits, folder, progress), splits, parts["test"][1])
 
 
 def _of_site(scenes: Scenes, found: Recorded, site: str | None) -> Scenes:

@@ -3,6 +3,7 @@
 import json
 import time
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from statistics import fmean
 from typing import Any
@@ -13,8 +14,9 @@ import torch
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 
-from gri import table2
+from gri import table2, table2_lanes_report
 from gri.data.ngsim.extract import scene_file
+from gri.data.recorded_ranges import RECORDED
 from gri.data.scenes_file import header_of
 from gri.figures import COLOURS, STYLE, frequency_matrix, save
 from gri.metrics import summary
@@ -23,8 +25,8 @@ from gri.recorded_scores import RATIOS, pooled
 from gri.reproduce import commit
 from gri.rows import printed
 from gri.table2 import IDM, Job, Row
+from gri.table2_text import PAPERS, by_row, files_of, lines, printed_cell
 
-PAPERS = {"GRI": "GRI", "GRI (paper)": "GRI", "NRI": "NRI", "Supervised": "Supervised"}
 NOTES = """\
 Ours: mean over test scenes and seeds ± standard deviation over scenes (mean over seeds) [least seed, greatest seed].
 Paper: mean ± standard deviation, on scenes of its own choice. Accuracy is agreement with the hypothesis, over all six
@@ -53,10 +55,14 @@ def publish(
         results.append((job, table2.run(job, path, cache, progress)))
         progress("rows and seeds", done + 1, len(wanted), results[-1][1]["cpu_seconds"])
     out.mkdir(parents=True, exist_ok=True)
-    files = [_text(scenario, results, path, out), *_tables(results, out), *_figures(results, out)]
+    lanes = RECORDED[scenario].reward.lanes
+    page = out / "table2.md"
+    page.write_text(table2_lanes_report.text(results, path) if lanes else _text(scenario, results, path), "utf-8")
+    files = [page, *(table2_lanes_report.tables if lanes else _tables)(results, out)]
+    files += (table2_lanes_report.figures if lanes else _figures)(results, out)
     made = out / "table2.json"
     content = {
-        "command": f"gri reproduce table2 --ngsim DIR --seeds {seeds}",
+        "command": f"gri reproduce table2 --scenario {scenario} --ngsim DIR --seeds {seeds}",
         "commit": commit(),
         "scenes": header_of(path).provenance,
         "seconds": round(time.monotonic() - began, 1),
@@ -67,12 +73,15 @@ def publish(
     return [*files, made]
 
 
-def _text(scenario: str, results: Results, path: Path, out: Path) -> Path:
+def _text(scenario: str, results: Results, path: Path) -> str:
     whole = [(job, result) for job, result in results if job.site is None]
-    files = ", ".join(f["name"] for f in header_of(path).provenance["ngsim"]["files"])
     site = np.array(whole[0][1]["site"])
     counts = ", ".join(f"{(site == s).sum()} of {s}" for s in np.unique(site))
-    parts = ["# Table II: recorded car following (NGSIM)\n", f"Test scenes: {counts}, cut from {files}.\n", NOTES]
+    parts = [
+        "# Table II: recorded car following (NGSIM)\n",
+        f"Test scenes: {counts}, cut from {files_of(path)}.\n",
+        NOTES,
+    ]
     parts += [_table(scenario, whole), "\n## Beyond the paper\n", _beyond(whole), "\n## Out of distribution\n"]
     parts += [OOD_NOTES, _curves(whole)]
     parts += [
@@ -82,14 +91,7 @@ def _text(scenario: str, results: Results, path: Path, out: Path) -> Path:
     parts += [_sites(results)]
     idm = next(result for job, result in whole if job.row is IDM)["parameters"]
     parts += ["\nCalibrated IDM: " + ", ".join(f"{name} {value}" for name, value in idm.items()) + "."]
-    file = out / "table2.md"
-    file.write_text("\n".join(parts) + "\n", encoding="utf-8")
-    return file
-
-
-def _rows(results: Results) -> list[tuple[Row, list[dict[str, Any]]]]:
-    names = dict.fromkeys(job.row for job, _ in results)
-    return [(row, [result for job, result in results if job.row == row]) for row in names]
+    return "\n".join(parts) + "\n"
 
 
 def _values(seeds: list[dict[str, Any]], name: str) -> list[torch.Tensor]:
@@ -102,10 +104,6 @@ def _spread(values: list[torch.Tensor], factor: float = 1.0, digits: int = 3) ->
     return f"{fmean(means):.{digits}f} ± {std:.{digits}f} [{min(means):.{digits}f}, {max(means):.{digits}f}]"
 
 
-def _lines(head: list[str], body: list[list[str]]) -> str:
-    return "\n".join(f"| {' | '.join(line)} |" for line in [head, ["---"] * len(head), *body]) + "\n"
-
-
 def _table(scenario: str, results: Results) -> str:
     names = [name for name in ("x", "y", "v") if f"rmse_{name}" in results[0][1]["errors"]]
     units = {"x": "m", "y": "m", "v": "m/s"}
@@ -113,14 +111,14 @@ def _table(scenario: str, results: Results) -> str:
     for name in names:
         head += [f"RMSE_{name} [{units[name]}]", "paper"]
     body = []
-    for row, seeds in _rows(results):
+    for row, seeds in by_row(results):
         paper = printed()[scenario].get(PAPERS.get(row.name, ""))
         cells = [row.name]
         for name in names:
-            cells += [_spread(_values(seeds, f"rmse_{name}")), _printed(getattr(paper, name, None), 3)]
-        cells += [_accuracy(row, seeds), _printed(getattr(paper, "accuracy", None), 2), str(len(seeds))]
+            cells += [_spread(_values(seeds, f"rmse_{name}")), printed_cell(getattr(paper, name, None), 3)]
+        cells += [_accuracy(row, seeds), printed_cell(getattr(paper, "accuracy", None), 2), str(len(seeds))]
         body.append([*cells, f"{fmean(seed['cpu_seconds'] for seed in seeds):.0f}"])
-    return _lines([*head, "accuracy [%]", "paper", "seeds", "CPU s/seed"], body)
+    return lines([*head, "accuracy [%]", "paper", "seeds", "CPU s/seed"], body)
 
 
 def _accuracy(row: Row, seeds: list[dict[str, Any]]) -> str:
@@ -129,15 +127,11 @@ def _accuracy(row: Row, seeds: list[dict[str, Any]]) -> str:
     return _spread(values, 100.0, 2) if values else "–"
 
 
-def _printed(value: tuple[float, float] | None, digits: int) -> str:
-    return "–" if value is None else f"{value[0]:.{digits}f} ± {value[1]:.{digits}f}"
-
-
 def _beyond(results: Results) -> str:
     head = ["model", "ADE [m]", "FDE [m]", "minADE [m]", "minFDE [m]", "contacts [%]", "time headway [s]",
             "W1 time headway [s]", "W1 speed [m/s]", "W1 acceleration [m/s²]"]  # fmt: skip
     body = []
-    for row, seeds in _rows(results):
+    for row, seeds in by_row(results):
         cells = [f"{fmean(float(v.mean()) for v in _values(seeds, name)):.2f}" if name in seeds[0]["errors"] else "–"
                  for name in ("ade", "fde", "min_ade", "min_fde")]  # fmt: skip
         found = {key: fmean(seed["compared"][key] for seed in seeds) for key in seeds[0]["compared"]}
@@ -146,19 +140,19 @@ def _beyond(results: Results) -> str:
         body.append([row.name, *cells])
     found = results[0][1]["compared"]
     rates = [f"{100 * found['collision_recorded']:.1f}", f"{found['time_headway_recorded']:.2f}"]
-    return _lines(head, [*body, ["recorded", *["–"] * 4, *rates, *["–"] * 3]])
+    return lines(head, [*body, ["recorded", *["–"] * 4, *rates, *["–"] * 3]])
 
 
 def _curves(results: Results) -> str:
     body = []
-    for row, seeds in _rows(results):
+    for row, seeds in by_row(results):
         cells = []
         for place in range(len(RATIOS)):
             points = [seed["ood"][place] for seed in seeds]
             mean = fmean(point["success"] for point in points)
             cells.append(f"{100 * mean:.1f} ± {100 * pooled(mean, points[0]['scenes']).half_width:.1f}")
         body.append([row.name, *cells])
-    return _lines(["model", *[f"δ {ratio:g}" for ratio in RATIOS]], body)
+    return lines(["model", *[f"δ {ratio:g}" for ratio in RATIOS]], body)
 
 
 def _sites(results: Results) -> str:
@@ -171,22 +165,21 @@ def _sites(results: Results) -> str:
             chosen = torch.tensor([s == site for s in mine[0]["site"]])
             cells.append(_spread([v[chosen] for v in _values(mine, "rmse_x")], digits=2))
         body.append([row.name, trained or "both", *cells])
-    return _lines(["model", "trained on", *[f"tested on {site}" for site in sites]], body)
+    return lines(["model", "trained on", *[f"tested on {site}" for site in sites]], body)
 
 
 def _tables(results: Results, out: Path) -> list[Path]:
-    lines, curves = [], []
+    scores, curves = [], []
     for job, result in results:
         names = {"row": job.row.name, "seed": job.seed, "trained_on": job.site or "both"}
         values = {name: summary(torch.tensor(v)) for name, v in result["errors"].items()}
         if result["graphs"]:
             values |= {name: summary(torch.tensor(result["graphs"][name])) for name in ("accuracy", "driven_accuracy")}
-        lines += [names | {"metric": name, "mean": v.mean, "std": v.std, "half_width": v.half_width, "scenes": v.scenes}
-                  for name, v in values.items()]  # fmt: skip
-        lines += [names | {"metric": name, "mean": v} for name, v in result["compared"].items()]
+        scores += [names | {"metric": name} | asdict(value) for name, value in values.items()]
+        scores += [names | {"metric": name, "mean": v} for name, v in result["compared"].items()]
         curves += [names | point for point in result["ood"]]
     files = []
-    for name, rows in (("table2", lines), ("table2_ood", curves)):
+    for name, rows in (("table2", scores), ("table2_ood", curves)):
         pd.DataFrame(rows).to_csv(out / f"{name}.csv", index=False)
         files.append(out / f"{name}.csv")
     return files
@@ -203,7 +196,7 @@ def _figures(results: Results, out: Path) -> list[Path]:
 def _frequencies(results: Results) -> Figure:
     """F6: one matrix per edge type and row, mean over seeds."""
     found = {row.name: np.mean([seed["graphs"]["frequency"] for seed in seeds], 0)
-             for row, seeds in _rows(results) if seeds[0]["graphs"]}  # fmt: skip
+             for row, seeds in by_row(results) if seeds[0]["graphs"]}  # fmt: skip
     kinds = results[0][0].scenes.vocabulary
     size = (1.55 * len(found) + 0.3, 1.95 * len(kinds) + 0.4)
     figure, axes = plt.subplots(len(kinds), len(found), figsize=size, squeeze=False)
@@ -218,7 +211,7 @@ def _frequencies(results: Results) -> Figure:
 def _success(results: Results) -> Figure:
     """F10: success rate against δ, mean over seeds, with 95 % bands over the scenes of one seed."""
     figure, axis = plt.subplots(figsize=(5.2, 3.2))
-    for row, seeds in _rows(results):
+    for row, seeds in by_row(results):
         means = [fmean(seed["ood"][place]["success"] for seed in seeds) for place in range(len(RATIOS))]
         widths = [pooled(m, seeds[0]["ood"][0]["scenes"]).half_width for m in means]
         colour = COLOURS.get(row.name, "#CC79A7" if row.name.startswith("GRI") else "0.45")

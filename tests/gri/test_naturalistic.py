@@ -1,3 +1,5 @@
+import math
+
 import pytest
 import torch
 
@@ -23,6 +25,19 @@ def test_references_begin_where_they_are_told_and_stay_positive():
         assert float(h.time(speeds, speeds).mean()) == pytest.approx(2.0, rel=0.2)
     for values in (h.speed(speeds * 3 - 40, speeds), h.headway(speeds, 30 - speeds), h.time(speeds, speeds)):
         assert (values > 0).all()
+
+
+def test_who_follows_wants_to_close_a_surplus_and_the_network_corrects_it_by_little():
+    # 20 m behind a vehicle at 10 m/s: 20 − 6 − 0.8·10 = 6 m too many, so 10 + 0.2·6 = 11.2 m/s, ± 0.5 m/s.
+    h = ReferenceNetworks(References(headway=6.0, time_headway=0.8, closing=0.2, correction=0.5))
+    last = h.h2[-1]
+    assert isinstance(last, torch.nn.Linear)
+    with torch.no_grad():
+        for extreme in (-1e3, 1e3):
+            last.bias.fill_(extreme)
+            wanted = 11.2 + 0.5 * (1 if extreme > 0 else -1)
+            expected = 5 * math.log1p(math.exp(wanted / 5))  # softplus, which adds little at these speeds
+            assert float(h.speed(torch.tensor(20.0), torch.tensor(10.0))) == pytest.approx(expected, rel=1e-4)
 
 
 def test_collision_point_of_two_crossing_lines():

@@ -1,0 +1,59 @@
+"""More training of a trained model on other scenes, by its own objective."""
+
+import msgspec
+import torch
+
+from gri.data.synthetic import Scenes
+from gri.errors import InputError
+from gri.model import RelationalModel
+from gri.objectives.gri import fit_encoder_and_policy, scene_posterior
+from gri.objectives.nri import NriSettings, train_nri
+from gri.objectives.recorded import RecordedSettings
+from gri.objectives.supervised import SupervisedSettings, train_supervised
+from gri.progress import Progress, silent
+from gri.rewards import StructuredReward
+from gri.train import TrainConfig
+
+
+class FineTuning(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """How long, and how much more slowly than at first."""
+
+    updates: int = 150
+    slower: float = 0.2
+    """Factor on all rates."""
+
+
+def fine_tune(
+    model: RelationalModel,
+    reward: StructuredReward | None,
+    config: TrainConfig,
+    scenes: Scenes,
+    tuning: FineTuning,
+    seed: int,
+    progress: Progress = silent,
+) -> None:
+    """Train the model on in place. Rewards stay: grounded models get the posterior of the new scenes from theirs.
+
+    Errors: `InputError` for objectives that cannot be taken up again.
+    """
+    model.requires_grad_(True)
+    slower = tuning.slower
+    match config.objective:
+        case SupervisedSettings() as settings:
+            rates = {"learning_rate": slower * settings.learning_rate}
+            train_supervised(
+                model, scenes, msgspec.structs.replace(settings, updates=tuning.updates, **rates), seed, progress
+            )
+        case NriSettings() as settings:
+            rates = {"policy_rate": slower * settings.policy_rate, "encoder_rate": slower * settings.encoder_rate}
+            train_nri(model, scenes, msgspec.structs.replace(settings, updates=tuning.updates, **rates), seed, progress)
+        case RecordedSettings(grounded=settings):
+            assert reward is not None, "a grounded model comes with its reward"
+            rates = {"policy_rate": slower * settings.policy_rate, "encoder_rate": slower * settings.encoder_rate}
+            settings = msgspec.structs.replace(settings, updates=tuning.updates, encoder_lead=0, **rates)
+            posterior = scene_posterior(model, reward.requires_grad_(False), scenes, settings)
+            generator = torch.Generator().manual_seed(seed)
+            fit_encoder_and_policy(model, reward, scenes, posterior, settings, generator, progress)
+        case other:
+            raise InputError(f"got objective {type(other).__name__}, wanted one of gri_recorded, nri, supervised")
+    model.requires_grad_(False).eval()
