@@ -1,7 +1,7 @@
 """The commands that show results: one run, one episode, or a whole batch."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import typer
 
@@ -9,6 +9,7 @@ from cosim.terminal import console, next_command, say
 from gri.errors import InputError
 
 Run = Annotated[Path, typer.Argument(help="A run folder, also one of a batch: BATCH/runs/ID.")]
+Format = Literal["html", "gif", "mp4", "png"]
 EpisodeNumber = Annotated[int, typer.Option(help="Which episode of the run.")]
 
 
@@ -46,7 +47,9 @@ def _batch_report(folder: Path, path: Path) -> None:
 def render(
     run: Run,
     episode: EpisodeNumber = 0,
-    kind: Annotated[Literal["html", "gif", "mp4", "png"], typer.Option("--format", help="What to make.")] = "html",
+    kind: Annotated[
+        Format | None, typer.Option("--format", help="What to make; default: what --out ends with, else html.")
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="The file to write; default: in the run folder.")] = None,
 ) -> None:
     """Draw one episode as a picture, a film or a page that plays it; no display is needed."""
@@ -55,6 +58,7 @@ def render(
 
     tables = read_tables(run)
     seen = view(tables, episode)
+    kind = kind or _format_of(out)
     path = out or run / f"episode-{episode}.{kind}"
     if kind == "png":
         from cosim.report import picture
@@ -71,6 +75,17 @@ def render(
         film(seen, path)
     say(f"{path}")
     next_command(f"cosim explain {run} --episode {episode}")
+
+
+def _format_of(out: Path | None) -> Format:
+    """What a file of this name is expected to hold."""
+    if out is None:
+        return "html"
+    for kind in get_args(Format):
+        if out.suffix.lower() == f".{kind}":
+            return kind
+    wanted = ", ".join(f".{kind}" for kind in get_args(Format))
+    raise InputError(f"--out {out}: got the ending {out.suffix!r}, wanted one of {wanted}; or say what with --format")
 
 
 def explain(run: Run, episode: EpisodeNumber = 0) -> None:

@@ -125,7 +125,7 @@ def _drive(view: View, role: int) -> list[str]:
     if np.isfinite(gap).all():
         line += f"; net gap {gap[0]:.1f} m, then {gap[-1]:.1f} m,"
         line += f" smallest {gap.min():.1f} m after {time[gap.argmin()]:.1f} s"
-    return [f"{line}; strongest deceleration {-a[hardest]:.1f} m/s² after {time[hardest]:.1f} s."]
+    return [f"{line}; strongest deceleration {max(-a[hardest], 0.0):.1f} m/s² after {time[hardest]:.1f} s."]
 
 
 def _reasons(view: View, role: int, scenario: Scenario, reward: StructuredReward | None) -> list[str]:
