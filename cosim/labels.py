@@ -11,7 +11,7 @@ from enum import StrEnum
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from gri.graph import LANE_CHANGING, EdgeType, pairs
+from gri.edges import LANE_CHANGING, EdgeType, pairs
 
 NOBODY = -1
 NONE, FOLLOW, YIELD, CUT_IN = (

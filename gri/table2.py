@@ -14,7 +14,7 @@ from gri import checkpoint, idm, ood, resources, table2_lanes
 from gri import recorded_scores as scores
 from gri.data.recorded import recorded_scenes
 from gri.data.recorded_ranges import RECORDED, RecordedRange
-from gri.data.scenes_file import Recorded
+from gri.data.scenes_reading import Recorded
 from gri.data.store import Splits
 from gri.data.synthetic import Scenes
 from gri.dynamics import dynamics_named

@@ -17,7 +17,7 @@ from gri import recorded_scores as scores
 from gri.data.ngsim.drawn import MARK
 from gri.data.recorded import recorded_scenes
 from gri.data.recorded_ranges import RecordedRange
-from gri.data.scenes_file import Recorded
+from gri.data.scenes_reading import Recorded
 from gri.data.store import Splits
 from gri.data.synthetic import Scenes
 from gri.evaluate import believed

@@ -6,7 +6,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from gri.data.recorded_ranges import RecordedRange
-from gri.data.scenes_file import Recorded, joined, read, scene_counts
+from gri.data.scenes_reading import Recorded, joined, read, scene_counts
 from gri.data.synthetic import Scenes
 from gri.dynamics import dynamics_named
 from gri.errors import InputError

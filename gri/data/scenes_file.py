@@ -6,7 +6,7 @@ provenance give the same bytes.
 """
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -16,14 +16,9 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
-import torch
-from jaxtyping import Float, Int
-from torch import Tensor
 
-from gri.dynamics import Dynamics
+from gri.edges import EdgeType, pairs
 from gri.errors import InputError
-from gri.graph import EdgeType, Vocabulary, pairs
-from gri.types import Trajectory
 
 FORMAT, VERSION = "gri-scenes", 1
 KEY = b"gri.scenes"
@@ -58,6 +53,16 @@ class SceneBlock:
     """[S, N] `length` and `width` [m], 0 where unknown."""
     step_edges: np.ndarray | None = None
     """[S, E, T] Edge types step by step, where they change; None: they do not."""
+    rule_edges: np.ndarray | None = None
+    """[S, E, T] The same by cheaper rules, where the source has both."""
+    effect: np.ndarray | None = None
+    """[S, E, T] How strong the edge is at each step [m/s²]; negative: the vehicle would be faster without it."""
+    hypothesis: np.ndarray | None = None
+    """[S, E] Edge types that the geometry suggests, where `edges` are known otherwise."""
+    unambiguous: np.ndarray | None = None
+    """[S] Whether `edges` says of every pair all that its steps say."""
+    vehicle_type: np.ndarray | None = None
+    """[S, N] The source's word for each vehicle's type."""
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -85,30 +90,17 @@ class Header(msgspec.Struct, frozen=True, kw_only=True):
     """What made the scenes: files with their hashes, options, counts, versions. Nothing that changes by itself."""
 
 
-@dataclass(frozen=True)
-class Recorded:
-    """Scenes read back for a model."""
-
-    trajectory: Trajectory
-    graph: Int[Tensor, "S E"]
-    """Edge types as indices into the vocabulary asked for."""
-    source: np.ndarray
-    split: np.ndarray
-    vehicle: np.ndarray
-    length: Float[Tensor, "S N"]
-
-    def __len__(self) -> int:
-        return len(self.graph)
-
-
 def schema(header: Header) -> pa.Schema:
     """The columns; see docs/scenes.md."""
     word = pa.dictionary(pa.int32(), pa.string())
-    edges = [f"{name}_{i}" for name in ("edge_from", "step_edge_from") for i in range(header.vehicles)]
+    kinds = "edge_from", "step_edge_from", "rule_edge_from", "hypothesis_from"
+    edges = [f"{name}_{i}" for name in kinds for i in range(header.vehicles)]
     columns = [("scene", pa.int64()), *((name, word) for name in ("kind", "source", "recording", "split"))]
     columns += [("role", pa.int8()), ("vehicle", pa.int64()), ("step", pa.int16()), ("time", pa.float64())]
     columns += [("valid", pa.bool_()), *((name, pa.float32()) for name in (*FEATURES, "length", "width"))]
     columns += [(name, word) for name in edges]
+    columns += [(f"effect_from_{i}", pa.float32()) for i in range(header.vehicles)]
+    columns += [("unambiguous", pa.bool_()), ("vehicle_type", word)]
     return pa.schema(columns, metadata={KEY: msgspec.json.encode(header, order="sorted")})
 
 
@@ -131,6 +123,39 @@ def writing(path: Path, header: Header) -> Iterator[Callable[[SceneBlock], None]
                 written += count
 
             yield write
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+@contextmanager
+def joining(path: Path, header: Header) -> Iterator[Callable[[Path, Mapping[str, int]], None]]:
+    """A function that appends the first scenes of a file, so many of each kind, with new numbers; else like `writing`.
+
+    Memory holds one group of rows.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_suffix(f".{os.getpid()}.part")
+    written = 0
+    try:
+        with pq.ParquetWriter(part, schema(header), compression="zstd") as writer:
+
+            def append(source: Path, wanted: Mapping[str, int]) -> None:
+                nonlocal written
+                left, file = dict(wanted), opened(source)
+                for group in range(file.num_row_groups):
+                    table = file.read_row_group(group)
+                    kind, numbers = table["kind"][0].as_py(), table["scene"].to_numpy()
+                    taken = np.unique(numbers)[: left.get(kind, 0)]
+                    left[kind] = left.get(kind, 0) - len(taken)
+                    table = table.filter(pa.array(np.isin(numbers, taken)))
+                    place = table.schema.get_field_index("scene")
+                    new = written + np.searchsorted(taken, table["scene"].to_numpy())
+                    if len(taken):
+                        writer.write_table(table.set_column(place, "scene", pa.array(new)).cast(schema(header)))
+                    written += len(taken)
+
+            yield append
         os.replace(part, path)
     finally:
         part.unlink(missing_ok=True)
@@ -161,8 +186,13 @@ def _table(block: SceneBlock, first: int, header: Header) -> pa.Table:
     columns |= {name: values.ravel() for name, values in block.features.items()}
     columns |= {name: spread(values) for name, values in block.size.items()}
     columns |= _edge_columns("edge_from", np.repeat(block.edges[:, :, None], steps, 2), n)
-    if block.step_edges is not None:
-        columns |= _edge_columns("step_edge_from", block.step_edges, n)
+    if block.hypothesis is not None:
+        columns |= _edge_columns("hypothesis_from", np.repeat(block.hypothesis[:, :, None], steps, 2), n)
+    changing = {"step_edge_from": block.step_edges, "rule_edge_from": block.rule_edges, "effect_from": block.effect}
+    for name, values in changing.items():
+        columns |= {} if values is None else _edge_columns(name, values, n)
+    rest = {"unambiguous": block.unambiguous, "vehicle_type": block.vehicle_type}
+    columns |= {name: spread(values) for name, values in rest.items() if values is not None}
     layout = schema(header)
     empty = pa.nulls(count * n * steps)
     arrays = [pa.array(columns[f.name]) if f.name in columns else empty for f in layout]
@@ -179,71 +209,7 @@ def _edge_columns(name: str, edges: np.ndarray, n: int) -> dict[str, np.ndarray]
 
 def header_of(path: Path) -> Header:
     """What the file says of itself. Errors: `InputError` where it is no scene file."""
-    return _header(_opened(path), path)
-
-
-def read(path: Path, kind: str, dynamics: Dynamics, vocabulary: Vocabulary, split: str | None = None) -> Recorded:
-    """All scenes of a kind (and split), as states of the given dynamics.
-
-    Errors: `InputError` where the file is no scene file, has no such scenes, or lacks a state feature or edge type.
-    """
-    header = _header(_opened(path), path)
-    n = header.vehicles
-    filters = [("kind", "=", kind)] + ([("split", "=", split)] if split else [])
-    names = ["scene", "step", "valid", "source", "split", "vehicle", "length", *dynamics.state]
-    table = pq.read_table(path, columns=[*names, *[f"edge_from_{i}" for i in range(n)]], filters=filters)
-    if not table.num_rows:
-        raise InputError(f"{path}: has no scenes of kind {kind}{f' in split {split}' if split else ''}; make some")
-    steps = int(table["step"].to_numpy().max()) + 1
-    if table.num_rows % (n * steps) or np.any(np.diff(table["scene"].to_numpy()[:: n * steps]) <= 0):
-        raise InputError(f"{path}: scenes of kind {kind} differ in length; write each length to a file of its own")
-    shape = (-1, n, steps)
-    for name in dynamics.state:
-        if table[name].null_count:
-            raise InputError(f"{path}: column {name} is not filled in for kind {kind}, wanted by {dynamics.name}")
-    state = np.stack([table[name].to_numpy().reshape(shape) for name in dynamics.state], -1)
-    valid = table["valid"].to_numpy(zero_copy_only=False).reshape(shape)
-    first = {name: table[name].to_numpy(zero_copy_only=False).reshape(shape)[:, :, 0] for name in names[3:7]}
-    edges = [table[f"edge_from_{i}"].to_numpy(zero_copy_only=False).reshape(shape)[:, j, 0] for i, j in pairs(n)]
-    return Recorded(
-        Trajectory(torch.from_numpy(state).float(), torch.from_numpy(valid.copy()), header.dt),
-        torch.from_numpy(_indices(np.stack(edges, 1), vocabulary, path)),
-        first["source"][:, 0],
-        first["split"][:, 0],
-        first["vehicle"],
-        torch.from_numpy(np.nan_to_num(first["length"].astype(np.float32))),
-    )
-
-
-def scene_counts(path: Path) -> set[tuple[str, str]]:
-    """The (kind, split) pairs that a file has scenes of. Errors: `InputError` where it is no scene file."""
-    _header(_opened(path), path)
-    table = pq.read_table(path, columns=["kind", "split"]).unify_dictionaries()
-    found = table.group_by(["kind", "split"]).aggregate([])
-    return set(zip(found["kind"].to_pylist(), found["split"].to_pylist(), strict=True))
-
-
-def joined(parts: Sequence[Recorded]) -> Recorded:
-    """Scenes of the same shape one after the other."""
-    first = parts[0].trajectory
-    state, valid = (torch.cat([getattr(p.trajectory, name) for p in parts]) for name in ("state", "valid"))
-    return Recorded(
-        Trajectory(state, valid, first.dt),
-        torch.cat([part.graph for part in parts]),
-        np.concatenate([part.source for part in parts]),
-        np.concatenate([part.split for part in parts]),
-        np.concatenate([part.vehicle for part in parts]),
-        torch.cat([part.length for part in parts]),
-    )
-
-
-def _indices(names: np.ndarray, vocabulary: Vocabulary, path: Path) -> np.ndarray:
-    unknown = set(names.ravel().tolist()) - {str(kind) for kind in vocabulary}
-    if unknown:
-        wanted = ", ".join(vocabulary)
-        raise InputError(f"{path}: got edge type {sorted(map(str, unknown))[0]}, wanted one of {wanted}")
-    index = {str(kind): k for k, kind in enumerate(vocabulary)}
-    return np.vectorize(index.__getitem__, otypes=[np.int64])(names)
+    return read_header(opened(path), path)
 
 
 def names_of(edges: Mapping[tuple[int, int], EdgeType], n: int = 3) -> np.ndarray:
@@ -251,14 +217,16 @@ def names_of(edges: Mapping[tuple[int, int], EdgeType], n: int = 3) -> np.ndarra
     return np.array([str(edges.get(pair, EdgeType.NONE)) for pair in pairs(n)], object)
 
 
-def _opened(path: Path) -> pq.ParquetFile:
+def opened(path: Path) -> pq.ParquetFile:
+    """The Parquet file. Errors: `InputError` where it is none."""
     try:
         return pq.ParquetFile(path)
     except (OSError, pa.ArrowException) as error:
         raise InputError(f"{path}: not a readable scene file ({str(error).splitlines()[0]}); make it again") from error
 
 
-def _header(file: pq.ParquetFile, path: Path) -> Header:
+def read_header(file: pq.ParquetFile, path: Path) -> Header:
+    """What an opened file says of itself."""
     text = (file.schema_arrow.metadata or {}).get(KEY)
     if text is None:
         raise InputError(f"{path}: a Parquet file, but not a scene file; give one written by `gri ngsim scenes`")

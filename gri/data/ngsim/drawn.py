@@ -8,7 +8,7 @@ source says what they are.
 
 import numpy as np
 
-from gri.data.ngsim.smoothing import integrated
+from gri.data.ngsim.integration import integrated
 
 WIDTH = 3.66
 """Of a lane [m]."""

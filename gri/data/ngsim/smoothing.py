@@ -20,6 +20,7 @@ from scipy.signal import savgol_filter
 
 from gri.data.ngsim.columns import FRAME
 from gri.data.ngsim.defects import Tracks
+from gri.data.ngsim.integration import integrated
 
 
 class Smoothing(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -100,12 +101,3 @@ def axis(
     v = slope.clip(least)
     x, a = integrated(v, smooth, options.dt)
     return x, v, a, float(np.abs(x - smooth).max())
-
-
-def integrated(v: np.ndarray, position: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """Positions and accelerations [..., T] that obey the dynamics with speeds v, nearest to the given positions."""
-    a = np.diff(v) / dt
-    x = np.cumsum((v[..., :-1] + v[..., 1:]) * dt / 2, -1)
-    x = np.concatenate([np.zeros_like(v[..., :1]), x], -1)
-    x = x + np.mean(position - x, -1, keepdims=True)
-    return x, np.concatenate([a, a[..., -1:]], -1)

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -6,7 +7,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from gri.data import scenes_file
-from gri.data.scenes_file import Header, SceneBlock, header_of, names_of, read, writing
+from gri.data.scenes_file import Header, SceneBlock, header_of, joining, names_of, writing
+from gri.data.scenes_reading import read
 from gri.dynamics import DUBINS, POINT_MASS_1D
 from gri.errors import InputError
 from gri.graph import FOLLOWING, LANE_CHANGING, EdgeType
@@ -67,6 +69,42 @@ def test_groups_of_rows_bound_the_memory(tmp_path: Path, monkeypatch: pytest.Mon
     path = written(tmp_path, block(5))
     assert pq.ParquetFile(path).metadata.num_row_groups == 3
     assert len(read(path, "car_following", POINT_MASS_1D, FOLLOWING)) == 5
+
+
+def test_files_are_joined_and_scenes_numbered_anew(tmp_path: Path):
+    header = Header(dt=0.2)
+    first = written(tmp_path / "a", block(3), block(2, kind="merge"), block(2))
+    second = written(tmp_path / "b", block(4), block(1, kind="merge"))
+    path = tmp_path / "both.parquet"
+    with joining(path, header) as append:
+        append(first, {"car_following": 4, "merge": 9})
+        append(second, {"merge": 9})
+    table = pd.read_parquet(path)
+    begins = table[(table["role"] == 0) & (table["step"] == 0)]
+    assert begins["scene"].tolist() == list(range(7))
+    assert begins["kind"].tolist() == ["car_following"] * 3 + ["merge"] * 2 + ["car_following", "merge"]
+    assert begins["x"].tolist() == [0.0, 12.0, 24.0, 0.0, 12.0, 0.0, 0.0]
+    np.testing.assert_array_equal(read(path, "merge", POINT_MASS_1D, FOLLOWING).vehicle[2], [0, 1, 2])
+
+
+def test_all_that_is_known_of_relations_has_its_columns(tmp_path: Path):
+    full = replace(
+        block(1),
+        rule_edges=np.full((1, 6, 4), "yield", object),
+        effect=np.arange(24.0).reshape(1, 6, 4),
+        hypothesis=np.full((1, 6), "cut_in", object),
+        unambiguous=np.array([True]),
+        vehicle_type=np.array([["car", "car", "truck"]], object),
+    )
+    table = pd.read_parquet(written(tmp_path, full))
+    leader = table[table["role"] == 2]
+    assert leader["effect_from_1"].tolist() == [12.0, 13.0, 14.0, 15.0]  # 1 -> 2 is the fourth pair
+    assert leader["effect_from_2"].isna().all()
+    assert set(leader["rule_edge_from_0"]) == {"yield"}
+    assert set(leader["hypothesis_from_1"]) == {"cut_in"}
+    assert leader["unambiguous"].all()
+    assert set(leader["vehicle_type"]) == {"truck"}
+    assert pd.read_parquet(written(tmp_path, block(1)))["effect_from_0"].isna().all()
 
 
 def test_edges_may_change_from_step_to_step(tmp_path: Path):

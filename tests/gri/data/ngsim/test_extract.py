@@ -12,7 +12,8 @@ from gri.data.ngsim.lane_changing import groups
 from gri.data.ngsim.recordings import recordings
 from gri.data.ngsim.rules import Rules, splits_of
 from gri.data.ngsim.smoothing import Motion, smoothed
-from gri.data.scenes_file import header_of, read
+from gri.data.scenes_file import header_of
+from gri.data.scenes_reading import read
 from gri.dynamics import POINT_MASS_1D, POINT_MASS_2D
 from gri.errors import InputError
 from gri.graph import FOLLOWING, EdgeType

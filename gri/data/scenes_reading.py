@@ -1,0 +1,97 @@
+"""Reading scene files (`gri.data.scenes_file`) for models."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from gri.data.scenes_file import opened, read_header
+from gri.dynamics import Dynamics
+from gri.errors import InputError
+from gri.graph import Vocabulary, pairs
+from gri.types import Trajectory
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """Scenes read back for a model."""
+
+    trajectory: Trajectory
+    graph: Int[Tensor, "S E"]
+    """Edge types as indices into the vocabulary asked for."""
+    source: np.ndarray
+    split: np.ndarray
+    vehicle: np.ndarray
+    length: Float[Tensor, "S N"]
+
+    def __len__(self) -> int:
+        return len(self.graph)
+
+
+def read(path: Path, kind: str, dynamics: Dynamics, vocabulary: Vocabulary, split: str | None = None) -> Recorded:
+    """All scenes of a kind (and split), as states of the given dynamics.
+
+    Errors: `InputError` where the file is no scene file, has no such scenes, or lacks a state feature or edge type.
+    """
+    header = read_header(opened(path), path)
+    n = header.vehicles
+    filters = [("kind", "=", kind)] + ([("split", "=", split)] if split else [])
+    names = ["scene", "step", "valid", "source", "split", "vehicle", "length", *dynamics.state]
+    table = pq.read_table(path, columns=[*names, *[f"edge_from_{i}" for i in range(n)]], filters=filters)
+    if not table.num_rows:
+        raise InputError(f"{path}: has no scenes of kind {kind}{f' in split {split}' if split else ''}; make some")
+    steps = int(table["step"].to_numpy().max()) + 1
+    if table.num_rows % (n * steps) or np.any(np.diff(table["scene"].to_numpy()[:: n * steps]) <= 0):
+        raise InputError(f"{path}: scenes of kind {kind} differ in length; write each length to a file of its own")
+    shape = (-1, n, steps)
+    for name in dynamics.state:
+        if table[name].null_count:
+            raise InputError(f"{path}: column {name} is not filled in for kind {kind}, wanted by {dynamics.name}")
+    state = np.stack([table[name].to_numpy().reshape(shape) for name in dynamics.state], -1)
+    valid = table["valid"].to_numpy(zero_copy_only=False).reshape(shape)
+    first = {name: table[name].to_numpy(zero_copy_only=False).reshape(shape)[:, :, 0] for name in names[3:7]}
+    edges = [table[f"edge_from_{i}"].to_numpy(zero_copy_only=False).reshape(shape)[:, j, 0] for i, j in pairs(n)]
+    return Recorded(
+        Trajectory(torch.from_numpy(state).float(), torch.from_numpy(valid.copy()), header.dt),
+        torch.from_numpy(_indices(np.stack(edges, 1), vocabulary, path)),
+        first["source"][:, 0],
+        first["split"][:, 0],
+        first["vehicle"],
+        torch.from_numpy(np.nan_to_num(first["length"].astype(np.float32))),
+    )
+
+
+def scene_counts(path: Path) -> set[tuple[str, str]]:
+    """The (kind, split) pairs that a file has scenes of. Errors: `InputError` where it is no scene file."""
+    read_header(opened(path), path)
+    table = pq.read_table(path, columns=["kind", "split"]).unify_dictionaries()
+    found = table.group_by(["kind", "split"]).aggregate([])
+    return set(zip(found["kind"].to_pylist(), found["split"].to_pylist(), strict=True))
+
+
+def joined(parts: Sequence[Recorded]) -> Recorded:
+    """Scenes of the same shape one after the other."""
+    first = parts[0].trajectory
+    state, valid = (torch.cat([getattr(p.trajectory, name) for p in parts]) for name in ("state", "valid"))
+    return Recorded(
+        Trajectory(state, valid, first.dt),
+        torch.cat([part.graph for part in parts]),
+        np.concatenate([part.source for part in parts]),
+        np.concatenate([part.split for part in parts]),
+        np.concatenate([part.vehicle for part in parts]),
+        torch.cat([part.length for part in parts]),
+    )
+
+
+def _indices(names: np.ndarray, vocabulary: Vocabulary, path: Path) -> np.ndarray:
+    unknown = set(names.ravel().tolist()) - {str(kind) for kind in vocabulary}
+    if unknown:
+        wanted = ", ".join(vocabulary)
+        raise InputError(f"{path}: got edge type {sorted(map(str, unknown))[0]}, wanted one of {wanted}")
+    index = {str(kind): k for k, kind in enumerate(vocabulary)}
+    return np.vectorize(index.__getitem__, otypes=[np.int64])(names)
