@@ -113,7 +113,7 @@ def reproduce_command(
     from gri.publish import publish  # brings pandas and matplotlib, which the other commands need not wait for
 
     if target == "table2":
-        _reproduce_table2(ngsim, scenario, seeds, out, cache, tuple(row or ()))
+        _reproduce_table2(ngsim, scenario, seeds, out, cache, tuple(row or ()), finished)
         return
     if target not in TABLES:
         raise InputError(f"got {target}, wanted one of {', '.join([*TABLES, 'table2'])}")
@@ -131,9 +131,15 @@ def reproduce_command(
 
 
 def _reproduce_table2(
-    ngsim: Path | None, scenario: str | None, seeds: int, out: Path, cache: Path, rows: tuple[str, ...]
+    ngsim: Path | None,
+    scenario: str | None,
+    seeds: int,
+    out: Path,
+    cache: Path,
+    rows: tuple[str, ...],
+    finished: bool,
 ) -> None:
-    from gri.table2_report import publish  # brings matplotlib
+    from gri.table2_report import Order, publish  # brings matplotlib
 
     if ngsim is None:
         raise InputError("table2 needs recorded data: give --ngsim FOLDER with NGSIM files, or a scene file")
@@ -142,7 +148,8 @@ def _reproduce_table2(
     written = []
     with Bar() as progress:
         for name in [scenario] if scenario else RECORDED:
-            written += publish(name, ngsim, seeds, out / name.removeprefix("ngsim_"), cache, rows, progress)
+            folder = out / name.removeprefix("ngsim_")
+            written += publish(Order(name, ngsim, seeds, folder, cache, rows, finished), progress)
     for path in written:
         console.print(str(path), soft_wrap=True)
     next_command("gri reproduce figures")

@@ -79,6 +79,9 @@ class Job:
         name = f"{self.scenario}{self.row.suffix or ('_idm' if self.row is IDM else '')}-s{self.seed}"
         return cache / f"{name}{f'-{self.site}' if self.site else ''}-{key}"
 
+    def is_done(self, cache: Path, file: str) -> bool:
+        return (self.folder(cache, file) / "result.json").is_file()
+
     def result(self, cache: Path, file: str) -> dict[str, Any]:
         return msgspec.json.decode((self.folder(cache, file) / "result.json").read_bytes())
 
@@ -114,13 +117,14 @@ def jobs_of(scenario: str, seeds: int, sites: Sequence[str], names: Sequence[str
 
 def run(job: Job, path: Path, cache: Path, progress: Progress = silent) -> dict[str, Any]:
     """Do the job unless it is done; the result appears last and whole."""
-    folder = job.folder(cache, digest(path))
-    if not (folder / "result.json").is_file():
+    file = digest(path)
+    folder = job.folder(cache, file)
+    if not job.is_done(cache, file):
         began = time.process_time()
         made = _lanes if job.scenes.reward.lanes else _following
         result = made(job, path, folder, progress)
         write(folder / "result.json", result | {"cpu_seconds": round(time.process_time() - began, 1)})
-    return job.result(cache, digest(path))
+    return job.result(cache, file)
 
 
 def _lanes(job: Job, path: Path, folder: Path, progress: Progress) -> dict[str, Any]:

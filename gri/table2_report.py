@@ -2,8 +2,7 @@
 
 import json
 import time
-from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import fmean
 from typing import Any
@@ -18,6 +17,7 @@ from gri import table2, table2_lanes_report
 from gri.data.ngsim.extract import scene_file
 from gri.data.recorded_ranges import RECORDED
 from gri.data.scenes_file import header_of
+from gri.errors import InputError
 from gri.figures import COLOURS, STYLE, frequency_matrix, save
 from gri.metrics import summary
 from gri.progress import Progress, silent
@@ -43,27 +43,44 @@ there.
 Results = list[tuple[Job, dict[str, Any]]]
 
 
-def publish(
-    scenario: str, source: Path, seeds: int, out: Path, cache: Path, names: Sequence[str], progress: Progress = silent
-) -> list[Path]:
+@dataclass(frozen=True)
+class Order:
+    """What is wanted, and where it is kept."""
+
+    scenario: str
+    source: Path
+    """A scene file, an NGSIM file, or a folder of them."""
+    seeds: int
+    out: Path
+    cache: Path
+    rows: tuple[str, ...] = ()
+    """Only these; none: all."""
+    finished: bool = False
+    """Take what is done, and train nothing."""
+
+    @property
+    def command(self) -> str:
+        """What makes the same anywhere."""
+        parts = ["gri reproduce table2", f"--scenario {self.scenario}", "--ngsim DIR", f"--seeds {self.seeds}"]
+        return " ".join([*parts, *[f'--row "{row}"' for row in self.rows], *["--finished"] * self.finished])
+
+
+def publish(order: Order, progress: Progress = silent) -> list[Path]:
     """Make what is missing, then write everything; returns the files."""
     began = time.monotonic()
-    path = scene_file(source, cache, progress)
-    wanted = table2.jobs_of(scenario, seeds, table2.sites(scenario, path), names)
-    results: Results = []
-    for done, job in enumerate(wanted):
-        results.append((job, table2.run(job, path, cache, progress)))
-        progress("rows and seeds", done + 1, len(wanted), results[-1][1]["cpu_seconds"])
-    out.mkdir(parents=True, exist_ok=True)
-    lanes = RECORDED[scenario].reward.lanes
-    page = out / "table2.md"
-    page.write_text(table2_lanes_report.text(results, path) if lanes else _text(scenario, results, path), "utf-8")
-    files = [page, *(table2_lanes_report.tables if lanes else _tables)(results, out)]
-    files += (table2_lanes_report.figures if lanes else _figures)(results, out)
-    made = out / "table2.json"
+    path = scene_file(order.source, order.cache, progress)
+    results = _results(order, path, progress)
+    order.out.mkdir(parents=True, exist_ok=True)
+    lanes = RECORDED[order.scenario].reward.lanes
+    page = order.out / "table2.md"
+    page.write_text((table2_lanes_report.text if lanes else _text)(results, path), "utf-8")
+    files = [page, *(table2_lanes_report.tables if lanes else _tables)(results, order.out)]
+    files += (table2_lanes_report.figures if lanes else _figures)(results, order.out)
+    made = order.out / "table2.json"
     content = {
-        "command": f"gri reproduce table2 --scenario {scenario} --ngsim DIR --seeds {seeds}",
+        "command": order.command,
         "commit": commit(),
+        "rows": {row.name: [job.seed for job, _ in results if job.row == row] for row, _ in by_row(results)},
         "scenes": header_of(path).provenance,
         "seconds": round(time.monotonic() - began, 1),
         "cpu_seconds": round(sum(result["cpu_seconds"] for _, result in results), 1),
@@ -73,7 +90,21 @@ def publish(
     return [*files, made]
 
 
-def _text(scenario: str, results: Results, path: Path) -> str:
+def _results(order: Order, path: Path, progress: Progress) -> Results:
+    wanted = table2.jobs_of(order.scenario, order.seeds, table2.sites(order.scenario, path), order.rows)
+    if order.finished:
+        file = table2.digest(path)
+        wanted = [job for job in wanted if job.is_done(order.cache, file)]
+        if not any(job.site is None for job in wanted):
+            raise InputError(f"got --finished, but nothing is finished in {order.cache}; leave it out to train")
+    results: Results = []
+    for done, job in enumerate(wanted):
+        results.append((job, table2.run(job, path, order.cache, progress)))
+        progress("rows and seeds", done + 1, len(wanted), results[-1][1]["cpu_seconds"])
+    return results
+
+
+def _text(results: Results, path: Path) -> str:
     whole = [(job, result) for job, result in results if job.site is None]
     site = np.array(whole[0][1]["site"])
     counts = ", ".join(f"{(site == s).sum()} of {s}" for s in np.unique(site))
@@ -82,15 +113,15 @@ def _text(scenario: str, results: Results, path: Path) -> str:
         f"Test scenes: {counts}, cut from {files_of(path)}.\n",
         NOTES,
     ]
-    parts += [_table(scenario, whole), "\n## Beyond the paper\n", _beyond(whole), "\n## Out of distribution\n"]
+    parts += [_table(whole), "\n## Beyond the paper\n", _beyond(whole), "\n## Out of distribution\n"]
     parts += [OOD_NOTES, _curves(whole)]
     parts += [
         "\n## Sites\n",
         "RMSE_x [m] on the test scenes of each site, by the site whose training scenes were seen.\n",
     ]
     parts += [_sites(results)]
-    idm = next(result for job, result in whole if job.row is IDM)["parameters"]
-    parts += ["\nCalibrated IDM: " + ", ".join(f"{name} {value}" for name, value in idm.items()) + "."]
+    for idm in (result["parameters"] for job, result in whole if job.row == IDM):
+        parts += ["\nCalibrated IDM: " + ", ".join(f"{name} {value}" for name, value in idm.items()) + "."]
     return "\n".join(parts) + "\n"
 
 
@@ -104,7 +135,7 @@ def _spread(values: list[torch.Tensor], factor: float = 1.0, digits: int = 3) ->
     return f"{fmean(means):.{digits}f} ± {std:.{digits}f} [{min(means):.{digits}f}, {max(means):.{digits}f}]"
 
 
-def _table(scenario: str, results: Results) -> str:
+def _table(results: Results) -> str:
     names = [name for name in ("x", "y", "v") if f"rmse_{name}" in results[0][1]["errors"]]
     units = {"x": "m", "y": "m", "v": "m/s"}
     head = ["model"]
@@ -112,7 +143,7 @@ def _table(scenario: str, results: Results) -> str:
         head += [f"RMSE_{name} [{units[name]}]", "paper"]
     body = []
     for row, seeds in by_row(results):
-        paper = printed()[scenario].get(PAPERS.get(row.name, ""))
+        paper = printed()[results[0][0].scenario].get(PAPERS.get(row.name, ""))
         cells = [row.name]
         for name in names:
             cells += [_spread(_values(seeds, f"rmse_{name}")), printed_cell(getattr(paper, name, None), 3)]

@@ -41,6 +41,7 @@ def train_recorded(
 ) -> None:
     """Train the model and the reward in place."""
     generator, grounded = torch.Generator().manual_seed(seed), settings.grounded
+    scenes = scenes[torch.randperm(len(scenes), generator=generator)]  # a file has its sites one after the other
     fit_references(model, reward, scenes, settings, generator, progress)
     judged = scenes[: grounded.graph_scenes]
     if grounded.judge == "policy":

@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -6,12 +7,14 @@ import pandas as pd
 import pytest
 import torch
 
-from gri import table2, table2_report
+from gri import table2
 from gri.data.ngsim.extract import extract
 from gri.data.ngsim.rules import Rules
 from gri.errors import InputError
+from gri.objectives.recorded import RecordedSettings
 from gri.policy import IntelligentDriver
 from gri.table2 import IDM, ROWS, Job, jobs_of
+from gri.table2_report import Order, publish
 from gri.train import TrainConfig
 from tests.gri.data.ngsim.conftest import as_text, platoon
 
@@ -35,7 +38,9 @@ def short(monkeypatch: pytest.MonkeyPatch):
     def tiny(path: Path) -> TrainConfig:
         config = read(path)
         decoder = msgspec.structs.replace(config.decoder, hidden=8)
-        objective = msgspec.structs.replace(config.objective, updates=1)
+        objective = config.objective
+        if not isinstance(objective, RecordedSettings):
+            objective = msgspec.structs.replace(objective, updates=1)
         return msgspec.structs.replace(config, decoder=decoder, objective=objective)
 
     monkeypatch.setattr(table2, "read_train_config", tiny)
@@ -85,7 +90,8 @@ def test_what_is_done_is_kept(scene_file: Path, tmp_path: Path, short: None, mon
 
 def test_the_page_has_every_row_beside_the_papers_figures(scene_file: Path, tmp_path: Path, short: None):
     out = tmp_path / "out"
-    written = table2_report.publish(CF, scene_file, 1, out, tmp_path / "jobs", ["NRI", "Supervised"])
+    order = Order(CF, scene_file, 1, out, tmp_path / "jobs", ("NRI", "Supervised"))
+    written = publish(order)
     assert {path.name for path in written} == {
         "table2.md", "table2.csv", "table2_ood.csv", "table2.json",
         "f6_edge_frequencies_ngsim.png", "f10_success_ngsim.png",
@@ -99,6 +105,14 @@ def test_the_page_has_every_row_beside_the_papers_figures(scene_file: Path, tmp_
     assert set(scores["row"]) == {IDM.name, "NRI", "Supervised"}
     assert float(scores.query("row == 'NRI' and metric == 'accuracy'")["mean"].iloc[0]) <= 1
     assert not set(scores.columns) & {"x", "vehicle", "scene"}  # aggregates only
+    again = publish(replace(order, rows=(), seeds=5, finished=True))  # leaves out what was never trained
+    assert again == written
+    assert (out / "table2.md").read_text() == text
+
+
+def test_nothing_finished_is_one_error(scene_file: Path, tmp_path: Path):
+    with pytest.raises(InputError, match="nothing is finished"):
+        publish(Order(CF, scene_file, 1, tmp_path / "out", tmp_path / "jobs", finished=True))
 
 
 def straight_on(start: torch.Tensor, steps: int) -> torch.Tensor:

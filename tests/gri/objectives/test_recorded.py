@@ -1,3 +1,4 @@
+import pytest
 import torch
 
 from gri.data.recorded_ranges import NGSIM_CAR_FOLLOWING
@@ -7,6 +8,7 @@ from gri.dynamics import POINT_MASS_1D
 from gri.encoder import EncoderConfig
 from gri.graph import EdgeType, InteractionGraph
 from gri.model import RelationalModel
+from gri.objectives import recorded
 from gri.objectives.gri import GroundedSettings
 from gri.objectives.recorded import RecordedSettings, fit_references, train_recorded
 from gri.rewards import StructuredReward
@@ -66,3 +68,20 @@ def test_all_stages_run_and_repeat():
         train_recorded(trained, reward, scenes(), SMALL, seed=1)
         results.append(torch.cat([p.flatten() for p in trained.parameters()]))
     torch.testing.assert_close(results[0], results[1], rtol=0, atol=0)
+
+
+def test_graphs_are_learned_from_all_sites_of_a_file(monkeypatch: pytest.MonkeyPatch):
+    data = scenes(20)
+    data.state[10:, :, :, 1] += 100.0  # the second site
+    judged = []
+
+    def posterior(model, reward, some, *rest) -> torch.Tensor:
+        judged.append(some.state[:, 0, 0, 1] > 50)
+        return torch.full((len(some), 6, 2), 0.5)
+
+    monkeypatch.setattr(recorded, "fit_references", lambda *arguments: None)
+    monkeypatch.setattr(recorded, "scene_posterior", posterior)
+    grounded = GroundedSettings(updates=1, graph_scenes=10, batch=2, return_batch=2)
+    lent, reward = model(), StructuredReward(NGSIM_CAR_FOLLOWING.reward)
+    train_recorded(lent, reward, data, RecordedSettings(grounded=grounded), seed=0)
+    assert 0 < int(judged[0].sum()) < 10
