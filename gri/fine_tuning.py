@@ -6,9 +6,9 @@ import torch
 from gri.data.synthetic import Scenes
 from gri.errors import InputError
 from gri.model import RelationalModel
-from gri.objectives.gri import fit_encoder_and_policy, scene_posterior
+from gri.objectives.gri import fit_encoder_and_policy
 from gri.objectives.nri import NriSettings, train_nri
-from gri.objectives.recorded import RecordedSettings
+from gri.objectives.recorded import RecordedSettings, recorded_posterior
 from gri.objectives.supervised import SupervisedSettings, train_supervised
 from gri.progress import Progress, silent
 from gri.rewards import StructuredReward
@@ -51,7 +51,7 @@ def fine_tune(
             assert reward is not None, "a grounded model comes with its reward"
             rates = {"policy_rate": slower * settings.policy_rate, "encoder_rate": slower * settings.encoder_rate}
             settings = msgspec.structs.replace(settings, updates=tuning.updates, encoder_lead=0, **rates)
-            posterior = scene_posterior(model, reward.requires_grad_(False), scenes, settings)
+            posterior = recorded_posterior(model, reward.requires_grad_(False), scenes, settings)
             generator = torch.Generator().manual_seed(seed)
             fit_encoder_and_policy(model, reward, scenes, posterior, settings, generator, progress)
         case other:

@@ -6,13 +6,17 @@ graphs, is expanded anew at every update. Graph and policy are then learned as f
 
 import msgspec
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from gri.data.synthetic import Scenes
-from gri.laplace import combination_prior, scene_prior
+from gri.graph import EdgeType
+from gri.laplace import combination_prior, marginals, scene_prior
 from gri.model import RelationalModel
+from gri.neural import edge_ends
 from gri.objectives.common import Descent, batches
 from gri.objectives.graphs import posterior_by_policy
-from gri.objectives.gri import GroundedSettings, fit_encoder_and_policy, plan, scene_posterior
+from gri.objectives.gri import GroundedSettings, fit_encoder_and_policy, plan
 from gri.progress import Progress, silent
 from gri.rewards import StructuredReward
 from gri.riccati import expand_steps, log_likelihood_by_steps
@@ -46,10 +50,9 @@ def train_recorded(
     judged = scenes[: grounded.graph_scenes]
     if grounded.judge == "policy":
         plan(model, reward, scenes, grounded, generator, progress)
-        prior = scene_prior(reward, judged.state, grounded.no_edge_prior, grounded.ahead_only)
-        posterior = posterior_by_policy(model, reward, judged, prior)
+        posterior = posterior_by_policy(model, reward, judged, recorded_prior(reward, judged.state, grounded))
     else:
-        posterior = scene_posterior(model, reward, judged, grounded, progress)
+        posterior = recorded_posterior(model, reward, judged, grounded, progress)
     fit_encoder_and_policy(model, reward, scenes, posterior, grounded, generator, progress)
 
 
@@ -70,9 +73,53 @@ def fit_references(
     for update, chosen in enumerate(batches(len(scenes), settings.reward_batch, total, generator)):
         batch = scenes[chosen]
         likelihood = log_likelihood_by_steps(reward, expand_steps(model, reward, batch.state, batch.action, learn=True))
-        prior = scene_prior(reward, batch.state, grounded.no_edge_prior, grounded.ahead_only)
+        prior = recorded_prior(reward, batch.state, grounded)
         evidence = torch.logsumexp(likelihood + combination_prior(reward, prior, batch.action.shape[1]), -1).mean()
         gradients = to_references.gradients(-evidence, retain_graph=True)
         to_weights.step(-evidence)
         to_references.apply(gradients)
         progress("reward and references", update + 1, total, float(evidence.detach()))
+
+
+def recorded_prior(
+    reward: StructuredReward, state: Float[Tensor, "B N T D"], grounded: GroundedSettings
+) -> Float[Tensor, "B E K"]:
+    """p(z_ij): the sparse prior, and where there are lanes the definition of the types (Sec. VI-D).
+
+    A vehicle follows one that is in its lane at the first step, and yields to one that is in the lane beside it. How
+    vehicles move along the road does not tell the two apart. `ahead_only` holds for both: i ends up ahead of j.
+    """
+    prior = scene_prior(reward, state, grounded.no_edge_prior, grounded.ahead_only)
+    if EdgeType.YIELD not in reward.vocabulary:
+        return prior
+    senders, receivers = edge_ends(state.shape[1])
+    beside = (state[:, senders, 0, 1] - state[:, receivers, 0, 1]).abs() > BESIDE
+    behind = state[:, senders, -1, 0] < state[:, receivers, -1, 0]
+    excluded = torch.zeros_like(prior, dtype=torch.bool)
+    excluded[..., reward.vocabulary.index(EdgeType.FOLLOW)] = beside
+    excluded[..., reward.vocabulary.index(EdgeType.YIELD)] = ~beside | (behind & grounded.ahead_only)
+    prior = prior.masked_fill(excluded, 1e-12)
+    return prior / prior.sum(-1, keepdim=True)
+
+
+BESIDE = 1.5
+"""Vehicles farther apart sideways are in different lanes [m]: nearly half a lane, as many are not in its middle."""
+
+
+@torch.no_grad()
+def recorded_posterior(
+    model: RelationalModel,
+    reward: StructuredReward,
+    scenes: Scenes,
+    grounded: GroundedSettings,
+    progress: Progress = silent,
+    chunk: int = 256,
+) -> Float[Tensor, "S E K"]:
+    """p(z_ij | u) of every scene under the reward as it stands."""
+    parts = []
+    for start in range(0, len(scenes), chunk):
+        part = scenes[start : start + chunk]
+        likelihood = log_likelihood_by_steps(reward, expand_steps(model, reward, part.state, part.action))
+        parts.append(marginals(reward, likelihood, recorded_prior(reward, part.state, grounded)))
+        progress("graph", min(start + chunk, len(scenes)), len(scenes), 0.0)
+    return torch.cat(parts)

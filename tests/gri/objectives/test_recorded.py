@@ -1,12 +1,12 @@
 import pytest
 import torch
 
-from gri.data.recorded_ranges import NGSIM_CAR_FOLLOWING
+from gri.data.recorded_ranges import NGSIM_CAR_FOLLOWING, NGSIM_LANE_CHANGING
 from gri.data.synthetic import Scenes, model_config
 from gri.decoder import DecoderConfig
 from gri.dynamics import POINT_MASS_1D
 from gri.encoder import EncoderConfig
-from gri.graph import EdgeType, InteractionGraph
+from gri.graph import EdgeType, InteractionGraph, pairs
 from gri.model import RelationalModel
 from gri.objectives import recorded
 from gri.objectives.gri import GroundedSettings
@@ -80,8 +80,33 @@ def test_graphs_are_learned_from_all_sites_of_a_file(monkeypatch: pytest.MonkeyP
         return torch.full((len(some), 6, 2), 0.5)
 
     monkeypatch.setattr(recorded, "fit_references", lambda *arguments: None)
-    monkeypatch.setattr(recorded, "scene_posterior", posterior)
+    monkeypatch.setattr(recorded, "recorded_posterior", posterior)
     grounded = GroundedSettings(updates=1, graph_scenes=10, batch=2, return_batch=2)
     lent, reward = model(), StructuredReward(NGSIM_CAR_FOLLOWING.reward)
     train_recorded(lent, reward, data, RecordedSettings(grounded=grounded), seed=0)
     assert 0 < int(judged[0].sum()) < 10
+
+
+def test_lanes_define_who_follows_and_who_yields():
+    # 0 comes from the lane beside and ends between 1, behind it, and 2, ahead of it.
+    state = torch.zeros(1, 3, 2, 6)
+    state[0, :, 0, :2] = torch.tensor([[10.0, -3.6], [0.0, 0.0], [30.0, 0.3]])
+    state[0, :, 1, :2] = torch.tensor([[50.0, 0.0], [40.0, 0.0], [70.0, 0.0]])
+    reward = StructuredReward(NGSIM_LANE_CHANGING.reward)
+    prior = recorded.recorded_prior(reward, state, GroundedSettings(no_edge_prior=0.8, ahead_only=True))[0]
+    possible = {
+        pair: {str(k) for k, p in zip(reward.vocabulary, row.tolist(), strict=True) if p > 1e-6}
+        for pair, row in zip(pairs(3), prior, strict=True)
+    }
+    assert possible == {
+        (0, 1): {"none", "yield"}, (0, 2): {"none"}, (1, 0): {"none"},
+        (1, 2): {"none"}, (2, 0): {"none", "yield"}, (2, 1): {"none", "follow"},
+    }  # fmt: skip
+    torch.testing.assert_close(prior.sum(-1), torch.ones(6))
+    assert float(prior[pairs(3).index((2, 0)), 0]) == pytest.approx(0.8 / 0.9)
+
+
+def test_car_following_has_the_sparse_prior():
+    reward, grounded = StructuredReward(NGSIM_CAR_FOLLOWING.reward), GroundedSettings()
+    prior = recorded.recorded_prior(reward, scenes(2).state, grounded)
+    torch.testing.assert_close(prior, torch.tensor([0.9, 0.1]).expand(2, 6, 2))
