@@ -11,6 +11,7 @@ import typer
 
 from cosim import traffic_commands
 from cosim.batch import commands as batch_commands
+from cosim.scenes.commands import scenes
 from cosim.show import commands as show_commands
 from cosim.stress.command import stress
 from cosim.terminal import Stages, console, errors, next_command, say
@@ -64,6 +65,7 @@ for _command in (traffic_commands.traffic, traffic_commands.calibrate, traffic_c
     app.command()(_command)
 
 
+app.command()(scenes)
 app.command()(stress)
 app.command()(batch_commands.batch)
 app.command()(batch_commands.results)

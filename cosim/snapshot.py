@@ -5,6 +5,7 @@ Plain values: whoever has them needs no simulation.
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from enum import IntFlag
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -30,6 +31,52 @@ class Snapshot:
         """Row of each id that is present."""
         where = {vehicle: row for row, vehicle in enumerate(self.ids)}
         return {vehicle: where[vehicle] for vehicle in ids if vehicle in where}
+
+
+@dataclass(frozen=True)
+class Driving:
+    """The vehicles on some lanes at one instant, lane by lane, and what SUMO says of their drivers.
+
+    Plain lists: they are read in every step. `lane` counts the lanes asked for, `position` [m] runs along the lane.
+    `leader` is "" where none is near, `gap` [m] is what is left to it beyond the driver's least gap. `left` and
+    `right` are the bits of SUMO's lane-change state (`LaneChange`).
+    """
+
+    ids: list[str]
+    lane: list[int]
+    position: list[float]
+    v: list[float]
+    leader: list[str]
+    gap: list[float]
+    left: list[int]
+    right: list[int]
+
+
+class LaneChange(IntFlag):
+    """Bits of SUMO's lane-change state that are used here (SUMO doc: LaneChangeAction)."""
+
+    LEFT = 1 << 1
+    RIGHT = 1 << 2
+    STRATEGIC = 1 << 3
+    COOPERATIVE = 1 << 4
+    URGENT = 1 << 8
+    BLOCKED_BY_LEFT_LEADER = 1 << 9
+    BLOCKED_BY_LEFT_FOLLOWER = 1 << 10
+    BLOCKED_BY_RIGHT_LEADER = 1 << 11
+    BLOCKED_BY_RIGHT_FOLLOWER = 1 << 12
+
+
+@dataclass(frozen=True)
+class Character:
+    """What does not change about a vehicle and its driver; SI units."""
+
+    kind: str
+    length: float
+    width: float
+    acceleration: float
+    imperfection: float
+    speed_factor: float
+    max_speed: float
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,10 @@ from pathlib import Path
 
 import libsumo
 import numpy as np
+from jaxtyping import Float
 
 from cosim.frames import RoadFrame, heading_of, sumo_angle_of, without_straight_vertices
-from cosim.snapshot import Around, Snapshot, StepReport, Strip, near, rows_of
+from cosim.snapshot import Around, Character, Driving, Snapshot, StepReport, Strip, near, rows_of
 
 _NO_CHECKS = 0  # speed mode: SUMO neither bounds nor corrects the commanded speed
 _NO_CHANGES = 0  # lane-change mode: SUMO never changes the vehicle's lane
@@ -23,6 +24,7 @@ _KEEP_ROUTE_EXACT_POSITION = 3  # moveToXY: keep the route (1) and do not snap t
 _GIVEN_LANE_EXACT_POSITION = 2  # moveToXY: on the edge and lane that the call names, and do not snap to it
 _LOOK_AROUND = 5  # steps between two looks at everybody; nobody comes 30 m nearer to anybody in between
 _TWIN = "twin:"  # prefix of the ids of twins
+_LEADER_RANGE = 100.0  # [m] within which leaders are told
 
 _NATIVE_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
 
@@ -109,6 +111,91 @@ class Sumo:
         if vehicle not in self._sizes:
             self._sizes[vehicle] = libsumo.vehicle.getLength(vehicle), libsumo.vehicle.getWidth(vehicle)
         return self._sizes[vehicle]
+
+    def driving(self, lanes: Sequence[str]) -> Driving:
+        """Read the vehicles on these lanes and what SUMO says of their drivers; shadows of no kind, no twins."""
+        vehicle, on = libsumo.vehicle, [libsumo.lane.getLastStepVehicleIDs(lane) for lane in lanes]
+        ids = [v for of_lane in on for v in of_lane]
+        ahead = [vehicle.getLeader(v, _LEADER_RANGE) or ("", math.inf) for v in ids]
+        return Driving(
+            ids=ids,
+            lane=[k for k, of_lane in enumerate(on) for _ in of_lane],
+            position=[vehicle.getLanePosition(v) for v in ids],
+            v=[vehicle.getSpeed(v) for v in ids],
+            leader=[leader for leader, _ in ahead],
+            gap=[gap for _, gap in ahead],
+            left=[vehicle.getLaneChangeState(v, 1)[0] for v in ids],
+            right=[vehicle.getLaneChangeState(v, -1)[0] for v in ids],
+        )
+
+    def speeds(self, vehicles: Sequence[str]) -> list[float]:
+        """Speed [m/s] of each vehicle, nan where it is gone."""
+        there = set(libsumo.vehicle.getIDList())
+        return [libsumo.vehicle.getSpeed(v) if v in there else math.nan for v in vehicles]
+
+    def limits(self, lanes: Sequence[str]) -> list[float]:
+        """Speed limit [m/s] of each lane as it is now."""
+        return [libsumo.lane.getMaxSpeed(lane) for lane in lanes]
+
+    def character(self, vehicle: str) -> Character:
+        """What does not change about a vehicle and its driver."""
+        api = libsumo.vehicle
+        return Character(
+            kind=api.getTypeID(vehicle),
+            length=api.getLength(vehicle),
+            width=api.getWidth(vehicle),
+            acceleration=api.getAccel(vehicle),
+            imperfection=api.getImperfection(vehicle),
+            speed_factor=api.getSpeedFactor(vehicle),
+            max_speed=api.getMaxSpeed(vehicle),
+        )
+
+    def braking(self, vehicle: str) -> float:
+        """How hard a vehicle may brake [m/s²]."""
+        return libsumo.vehicle.getDecel(vehicle)
+
+    def follow_speed(self, vehicle: str, v: float, gap: float, v_leader: float, braking: float) -> float:
+        """Speed [m/s] that a driver's car-following model allows at speed v, so far behind a leader.
+
+        `braking` [m/s²] is what the leader is able to. Krauss and IDM answer from these numbers alone, so that this may
+        be asked later, as long as the vehicle is there.
+        """
+        return libsumo.vehicle.getFollowSpeed(vehicle, v, gap, v_leader, braking)
+
+    def secure_gap(self, vehicle: str, v: float, leader: str, v_leader: float, braking: float) -> float:
+        """Gap [m] beyond its least one that a driver holds to be secure behind a leader."""
+        return libsumo.vehicle.getSecureGap(vehicle, v, v_leader, braking, leader)
+
+    def neighbour(self, vehicle: str, left: bool, ahead: bool) -> tuple[str, float]:
+        """The nearest vehicle in the next lane and the distance to it [m]; ("", inf) where there is none."""
+        found = libsumo.vehicle.getNeighbors(vehicle, (0 if left else 1) | (2 if ahead else 0))
+        return min(found, key=lambda at: at[1], default=("", math.inf))
+
+    def ignore(self, vehicles: Iterable[tuple[str, str]]) -> None:
+        """From now on, the first vehicle of each pair does not see the second as its leader."""
+        for vehicle, leader in vehicles:
+            libsumo.vehicle.setParameter(vehicle, "carFollowModel.ignoreIDs", leader)
+
+    def ignore_requests(self, vehicles: Iterable[str]) -> None:
+        """From now on, these vehicles do not slow down for others that want to change lanes."""
+        for vehicle in vehicles:
+            libsumo.vehicle.setParameter(vehicle, "laneChangeModel.lcCooperativeSpeed", "0")
+
+    def shape(self, lane: str) -> Float[np.ndarray, "P 2"]:
+        """World points of the centre of a lane."""
+        return np.array(libsumo.lane.getShape(lane), dtype=float)
+
+    def lane_length(self, lane: str) -> float:
+        """Length [m] of a lane as positions along it count; its shape may be longer or shorter."""
+        return libsumo.lane.getLength(lane)
+
+    def lanes_of(self, edges: Sequence[str]) -> list[str]:
+        """Lanes of these edges, those that lead into them and, where the net has them, those of junctions between."""
+        lanes = libsumo.lane.getIDList()
+        wanted = {lane for lane in lanes if lane.rpartition("_")[0] in edges}
+        leading = {lane: [link for link in libsumo.lane.getLinks(lane) if link[0] in wanted] for lane in lanes}
+        between = {link[4] for links in leading.values() for link in links if link[4]}
+        return sorted(wanted | between | {lane for lane, links in leading.items() if links and lane[0] != ":"})
 
     def route(self, vehicle: str) -> tuple[str, ...]:
         """Edges of a vehicle's route."""

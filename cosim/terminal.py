@@ -116,6 +116,30 @@ class Runs(_Bars):
         return ", ".join(notes)
 
 
+class Filming(_Bars):
+    """Progress of scenes with their rate: a bar in a terminal; elsewhere a plain line per 5 %."""
+
+    def __init__(self) -> None:
+        columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[note]}")
+        self._bars = Progress(*columns, TimeElapsedColumn(), console=errors)
+        self._bar: TaskID | None = None
+        self._first: tuple[float, int] | None = None
+        self._share = -1
+
+    def tell(self, done: int, of: int) -> None:
+        """So many scenes are there; what was there at the first call does not count for the rate."""
+        now = time.monotonic()
+        began, before = self._first = self._first or (now, done)
+        note = f"{(done - before) / (now - began):.1f} scenes/s" if done > before else ""
+        if errors.is_terminal:
+            if self._bar is None:
+                self._bar = self._bars.add_task("scenes", total=of, note="")
+            self._bars.update(self._bar, completed=done, note=note)
+        elif 20 * done // of > self._share:
+            self._share = 20 * done // of
+            errors.print(f"scenes: {done}/{of}{note and ', '}{note}", highlight=False)
+
+
 def _clock(seconds: float) -> str:
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)

@@ -1,0 +1,76 @@
+"""Who asks whom to make room for a lane change, as SUMO's model LC2013 does it, and what lane changes do to others.
+
+SUMO does not tell to whom a request goes. It goes from who urgently wants to a lane, and is blocked there, to the next
+vehicle behind, which is to slow down, and to a slower one ahead, which is to let itself be overtaken.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cosim.snapshot import Driving, LaneChange
+from cosim.sumo import Sumo
+
+SAME_LANE = 1.0  # [m] of lateral distance between lanes that continue each other
+
+
+@dataclass(frozen=True)
+class Change:
+    """A lane change: of whom, from which of the lanes to which, and the lane-change state it was decided in."""
+
+    vehicle: str
+    source: int
+    target: int
+    state: int
+    behind: str
+    """Who drives behind it in the new lane; "": nobody near."""
+
+
+def askers(world: Sumo, driving: Driving) -> dict[int, str]:
+    """By whom each row is asked; of several by the nearest."""
+    found: dict[int, tuple[float, str]] = {}
+    urgent = [row for row, of in enumerate(zip(driving.left, driving.right, strict=True)) if any(map(_asks, of))]
+    rows = {vehicle: row for row, vehicle in enumerate(driving.ids)} if urgent else {}
+    for row in urgent:
+        for other, distance in _asked(world, driving, row, rows):
+            if other in rows and distance < found.get(rows[other], (np.inf, ""))[0]:
+                found[rows[other]] = distance, driving.ids[row]
+    return {row: asker for row, (_, asker) in found.items()}
+
+
+def _asks(state: int) -> bool:
+    return bool(state & LaneChange.URGENT)
+
+
+def _asked(world: Sumo, driving: Driving, row: int, rows: dict[str, int]) -> Iterator[tuple[str, float]]:
+    """Whom a vehicle asks, and how far away they are [m]."""
+    vehicle, bits = driving.ids[row], LaneChange
+    for to_left, state, wish, behind, ahead in (
+        (True, driving.left[row], bits.LEFT, bits.BLOCKED_BY_LEFT_FOLLOWER, bits.BLOCKED_BY_LEFT_LEADER),
+        (False, driving.right[row], bits.RIGHT, bits.BLOCKED_BY_RIGHT_FOLLOWER, bits.BLOCKED_BY_RIGHT_LEADER),
+    ):
+        if not (_asks(state) and state & wish):
+            continue
+        if state & behind:
+            yield world.neighbour(vehicle, to_left, ahead=False)
+        if state & ahead:
+            other, distance = world.neighbour(vehicle, to_left, ahead=True)
+            if other in rows and driving.v[row] > driving.v[rows[other]]:
+                yield other, distance
+
+
+def now_behind(driving: Driving, vehicle: str, centres: Sequence[float]) -> int | None:
+    """Row of who drives behind a vehicle in its lane, wherever that began; `centres` [m] are those of the lanes."""
+    if vehicle not in driving.ids:
+        return None
+    own = centres[driving.lane[driving.ids.index(vehicle)]]
+    followers = [row for row, leader in enumerate(driving.leader) if leader == vehicle]
+    return next((row for row in followers if abs(centres[driving.lane[row]] - own) < SAME_LANE), None)
+
+
+def room(world: Sumo, driving: Driving, behind: int, own: int) -> float:
+    """What is left of the gap between two vehicles beyond the one the rear driver holds to be secure [m]."""
+    rear, front = driving.ids[behind], driving.ids[own]
+    secure = world.secure_gap(rear, driving.v[behind], front, driving.v[own], world.braking(front))
+    return driving.gap[behind] - secure

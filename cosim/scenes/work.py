@@ -1,0 +1,71 @@
+"""What a worker does with one seed of a data set.
+
+Light to import: without torch a process is small, and copies of it for interventions are cheap.
+"""
+
+import os
+import sys
+import tempfile
+import traceback
+from pathlib import Path
+
+import msgspec
+
+from cosim.batch.task import LOG, Answer, Task
+from cosim.inputs import find_net
+from cosim.scenes.rules import DT
+from cosim.scenes.shard import Figures, Spec, film
+from cosim.sumo import SumoError
+from gri.data.scenes_file import Header, writing
+from gri.errors import InputError
+
+SCENES, FIGURES = "scenes.parquet", "figures.json"
+
+
+class Brought(msgspec.Struct, frozen=True, kw_only=True):
+    """A seed's figures, and of what they are: `key` changes with all that the scenes depend on."""
+
+    key: str
+    figures: Figures
+    cpu_seconds: float
+    """Of the whole process and its copies, start-up of the worker not included."""
+
+
+def perform(task: Task) -> Answer:
+    """Film the seed that `task.labels["spec"]` describes into the task's folder; every failure becomes an answer."""
+    try:
+        task.folder.mkdir(parents=True)
+        _print_to(task.folder / LOG)
+        spec = msgspec.json.decode(task.labels["spec"], type=Spec)
+        with (
+            tempfile.TemporaryDirectory(prefix="cosim-scenes-") as scratch,
+            writing(task.folder / SCENES, Header(dt=DT)) as write,
+        ):
+            figures = film(spec, find_net(spec.scenario.net), Path(scratch), write)
+        brought = Brought(key=task.key, figures=figures, cpu_seconds=round(sum(os.times()[:4]), 3))
+        (task.folder / FIGURES).write_bytes(msgspec.json.encode(brought))
+    except InputError as error:
+        return Answer(task.run, task.folder, "input", str(error))
+    except SumoError as error:
+        return Answer(task.run, task.folder, "input", f"SUMO refused the scenario: {error}")
+    except Exception as error:
+        traceback.print_exc()
+        return Answer(task.run, task.folder, "error", f"{type(error).__name__}: {error}")
+    return Answer(task.run, task.folder, "done", peak_mb=_peak_mb())
+
+
+def _print_to(path: Path) -> None:
+    """Send everything this process prints, SUMO included, to a file."""
+    with path.open("ab") as stream:
+        os.dup2(stream.fileno(), 1)
+        os.dup2(stream.fileno(), 2)
+
+
+def _peak_mb() -> float:
+    """Peak resident memory of this process; 0 where the system does not tell."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return 0.0
+    unit = 2**20 if sys.platform == "darwin" else 2**10
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
