@@ -284,8 +284,8 @@ class Sumo:
         for edge in edges:
             shape = libsumo.lane.getShape(f"{edge}_{libsumo.edge.getLaneNumber(edge) - 1}")
             if edge == origin:
-                start = len(points) if points and points[-1] != shape[0] else max(len(points) - 1, 0)
-            points += [point for k, point in enumerate(shape) if k or not points or points[-1] != point]
+                start = max(len(points) - 1, 0) if points and _meet(points[-1], shape[0]) else len(points)
+            points += [point for k, point in enumerate(shape) if k or not points or not _meet(points[-1], point)]
         line = np.array(points, dtype=float)
         before = np.diff(line[: start + 1], axis=0)
         return RoadFrame(without_straight_vertices(line), float(np.hypot(before[:, 0], before[:, 1]).sum()))
@@ -299,6 +299,11 @@ class Sumo:
         if self._commanded:  # closing and restarting with a pending moveToXY crashes SUMO
             libsumo.simulationStep()
         libsumo.close()
+
+
+def _meet(end: tuple[float, float], begin: tuple[float, float]) -> bool:
+    """Whether the lanes of two edges join here; net files round to centimetres, and in a bend the lanes may overlap."""
+    return math.dist(end, begin) < 0.1
 
 
 def _real(ids: Iterable[str]) -> tuple[str, ...]:

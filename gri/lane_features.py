@@ -16,6 +16,8 @@ from torch import Tensor
 from gri import features
 from gri.features import FollowingConstants
 
+SOFT = 0.4  # [m] of headway over which "clear of the sender" goes from 27 to 50 %
+
 State = Float[Tensor, "*batch 6"]
 Action = Float[Tensor, "*batch 2"]
 Value = Float[Tensor, "*batch"]
@@ -41,6 +43,11 @@ class LaneConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     yield_headway: float = 5.0
     """Δx^yield [m]."""
     goal: GoalForm = GoalForm.ONE_SIDED
+    clear_headway: float | None = None
+    """Headway [m] from which on a receiver belongs in the sender's lane, nearer in the lane beside it (decision 012).
+
+    None: in the sender's lane at any headway, as in the paper.
+    """
 
 
 def longitudinal(state: State) -> Float[Tensor, "*batch 3"]:
@@ -64,8 +71,17 @@ def g_dist(sender: State, receiver: State, constants: LaneConstants) -> Value:
 
 
 def g_lat(sender: State, receiver: State, constants: LaneConstants) -> Value:
-    """g_lat = (y_j − g_center(y_i))²  [m²]: the receiver belongs in the sender's lane."""
-    return (receiver[..., 1] - g_center(sender[..., 1], constants)) ** 2
+    """g_lat = (y_j − g_center(y_i))²  [m²]: the receiver belongs in the sender's lane.
+
+    With a `clear_headway` Δx^c it is w·(y_j − g_center(y_i))² + (1 − w)·(y_j − y_beside)², where
+    w = σ((x_i − x_j − Δx^c)/0.4 m).
+    """
+    own, there = receiver[..., 1], g_center(sender[..., 1], constants)
+    if constants.clear_headway is None:
+        return (own - there) ** 2
+    clear = torch.sigmoid((sender[..., 0] - receiver[..., 0] - constants.clear_headway) / SOFT)
+    beside = there + torch.where(own < there, -constants.width, constants.width)
+    return clear * (own - there) ** 2 + (1 - clear) * (own - beside) ** 2
 
 
 def g_goal(sender: State, receiver: State, constants: LaneConstants) -> Value:

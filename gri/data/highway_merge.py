@@ -52,8 +52,8 @@ class HighwayStarts(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     """Of the leader [m/s]."""
     lag_spread: float = 1.0
     """Standard deviation of v_1 − v_2 [m/s]."""
-    faster: tuple[float, float] = (-1.0, 6.5)
-    """v_0 − v_2 of a merger [m/s]."""
+    faster: tuple[float, float] = (-1.0, 10.0)
+    """v_0 − v_2 of a merger [m/s]; that of SUMO's mergers reaches 9."""
     gap: tuple[float, float] = (1.0, 23.0)
     """Net gaps [m], small ones more often: the square root of where they lie in the range is uniform."""
     lateral: tuple[float, float] = (-3.95, -3.55)
@@ -125,7 +125,7 @@ def sample_takeovers(
             v_0, x_1 = v_1 + faster, -followed(v_1)
             x_0 = x_1 - gap(count)
         case Situation.PASSING:
-            v_0, x_1 = v_2 + 2 * faster, -followed(v_1)
+            v_0, x_1 = v_2 + faster, -followed(v_1)
             x_0 = uniform(generator, -60.0, 40.0, count)
         case Situation.MERGED:
             v_0 = (v_2 + starts.lag_spread * torch.randn(count, generator=generator)).clamp(min=1.0)
@@ -138,7 +138,7 @@ def sample_takeovers(
     state = [
         torch.stack([x_0, x_1, zero], -1),
         torch.stack([y_0, inside[:, 1], zero], -1),
-        torch.stack([v_0.clamp(min=1.5), v_1, v_2], -1),
+        torch.stack([v_0.clamp(1.5, starts.greatest_speed), v_1, v_2], -1),
         torch.zeros(count, 3),
         torch.stack([_merger_acceleration(starts, situation, count, generator), a_1, zero], -1),
         torch.zeros(count, 3),
@@ -237,7 +237,7 @@ HIGHWAY_MERGE = HighwayMergeRange(
     starts=HighwayStarts(),
     leader=LeaderConfig(
         phases=True,
-        hard_share=0.1,
+        hard_share=0.2,
         jitter=0.5,
         brake=(-2.0, -0.2),
         accelerate=(0.2, 1.5),
@@ -255,6 +255,7 @@ HIGHWAY_MERGE = HighwayMergeRange(
             ),
             width=3.75,
             yield_headway=16.0,
+            clear_headway=6.5,
         ),
         units=Units(gap=4.5, collision=0.27, speed=6.5),
         lane_units=LaneUnits(lateral=2.1, heading=0.45, yaw_rate=0.22, yaw_acceleration=0.17),
@@ -270,7 +271,7 @@ HIGHWAY_MERGE = HighwayMergeRange(
             "yaw_acceleration": 1.5,
             "lane": 1.2,
         },
-        "follow": {"idm": 1.5, "dist": 5.0, "lat": 1.2},
+        "follow": {"idm": 1.5, "dist": 5.0, "lat": 3.0},
         "yield": {"yield": 2.0, "dist": 5.0},
         "cut_in": {"goal": 5.0, "dist": 3.0},
     },

@@ -50,6 +50,13 @@ def test_g_lat_counts_from_the_senders_centre():
     assert value(lane.g_lat(BEHIND, AHEAD, CONSTANTS)) == (0.5 + 4.0) ** 2
 
 
+@pytest.mark.parametrize(("headway", "wanted"), [(30.0, 9.0), (10.0, 0.5 * 9.0 + 0.5 * 1.0), (-30.0, 1.0)])
+def test_g_lat_keeps_who_is_not_clear_in_the_lane_beside(headway: float, wanted: float):
+    patient = msgspec.structs.replace(CONSTANTS, clear_headway=10.0)
+    sender = BEHIND + torch.tensor([headway, 3.5, 0, 0, 0, 0])  # its lane is at 0, the one beside at -4
+    assert value(lane.g_lat(sender, BEHIND, patient)) == wanted
+
+
 def test_the_centre_has_no_gradient():
     def of_sender(y: Tensor) -> Tensor:
         return lane.g_lat(torch.cat([AHEAD[:1], y[None], AHEAD[2:]]), BEHIND, CONSTANTS)

@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import math
 import subprocess
 import sys
 from dataclasses import dataclass
@@ -80,6 +81,18 @@ def test_rebuilding_gives_the_committed_net(site: Site) -> None:
     if build.find_netconvert() is None:
         pytest.skip("netconvert is not installed (pip install eclipse-sumo)")
     assert build.build(site.name) == net_file(site).read_text(encoding="utf-8")
+
+
+def test_the_bend_is_built_of_its_sources_and_has_its_radius() -> None:
+    build = load_build()
+    if build.find_netconvert() is None:
+        pytest.skip("netconvert is not installed (pip install eclipse-sumo)")
+    path = NETS / "curved" / "curved.net.xml"
+    assert build.build("curved") == path.read_text(encoding="utf-8")
+    lanes = sumolib.net.readNet(str(path)).getEdge("merge").getLanes()
+    for k, lane in enumerate(reversed(lanes)):
+        radius = [math.hypot(x - 150, y - 600) for x, y in lane.getShape()]
+        assert radius == pytest.approx([600 + 3.5 * (k + 0.5)] * len(radius), abs=0.03)
 
 
 def test_a_missing_netconvert_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
