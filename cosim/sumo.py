@@ -24,6 +24,7 @@ _KEEP_ROUTE_EXACT_POSITION = 3  # moveToXY: keep the route (1) and do not snap t
 _GIVEN_LANE_EXACT_POSITION = 2  # moveToXY: on the edge and lane that the call names, and do not snap to it
 _LOOK_AROUND = 5  # steps between two looks at everybody; nobody comes 30 m nearer to anybody in between
 _TWIN = "twin:"  # prefix of the ids of twins
+_NOWHERE = libsumo.constants.INVALID_DOUBLE_VALUE  # what getters say of a vehicle that is off all lanes
 _LEADER_RANGE = 100.0  # [m] within which leaders are told
 
 _NATIVE_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
@@ -88,7 +89,11 @@ class Sumo:
         )
 
     def _positions(self, road: RoadFrame, ids: tuple[str, ...]) -> _Positions:
+        """Of those that are somewhere: SUMO keeps a vehicle that left all lanes on its list for a few steps."""
         xy = np.array([libsumo.vehicle.getPosition(v) for v in ids], dtype=float).reshape(-1, 2)
+        if (xy == _NOWHERE).any():
+            there = (xy != _NOWHERE).all(1)
+            ids, xy = tuple(v for v, somewhere in zip(ids, there, strict=True) if somewhere), xy[there]
         return ids, xy, *road.to_road(xy)
 
     def _positions_around(self, road: RoadFrame, around: tuple[str, ...]) -> _Positions:

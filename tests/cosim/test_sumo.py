@@ -261,6 +261,15 @@ def test_road_frame_of_the_net_starts_where_the_study_area_starts(road):
         assert replace(frame, origin=0.0).to_road(np.array([[0.0, 0.0]]))[0] == 500.0
 
 
+def test_a_vehicle_that_is_nowhere_is_in_no_snapshot(road, monkeypatch):
+    """SUMO may go on listing a vehicle that left all lanes for a few steps, and answers with a sentinel."""
+    known, nowhere = libsumo.vehicle.getPosition, (libsumo.constants.INVALID_DOUBLE_VALUE,) * 2
+    with road(vehicle("a", 50.0), vehicle("b", 100.0)) as world:
+        monkeypatch.setattr(libsumo.vehicle, "getPosition", lambda v: nowhere if v == "a" else known(v))
+        assert world.snapshot(ROAD).ids == ("b",)
+        assert world.snapshot(ROAD, around=["a", "b"]).ids == ("b",)
+
+
 def test_lanes_keep_their_distance_in_a_bend(tmp_path):
     """Where edges of a bend meet, rounded lane shapes overlap by centimetres; the road must not turn back there."""
     net, log = shipped("sumo_nets/curved/curved.net.xml"), tmp_path / "sumo.log"
