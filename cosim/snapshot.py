@@ -38,8 +38,7 @@ class Driving:
     """The vehicles on some lanes at one instant, lane by lane, and what SUMO says of their drivers.
 
     Plain lists: they are read in every step. `lane` counts the lanes asked for, `position` [m] runs along the lane.
-    `leader` is "" where none is near, `gap` [m] is what is left to it beyond the driver's least gap. `left` and
-    `right` are the bits of SUMO's lane-change state (`LaneChange`).
+    `leader` is "" where none is near, `gap` [m] is what is left to it beyond the driver's least gap.
     """
 
     ids: list[str]
@@ -48,8 +47,6 @@ class Driving:
     v: list[float]
     leader: list[str]
     gap: list[float]
-    left: list[int]
-    right: list[int]
 
 
 class LaneChange(IntFlag):

@@ -129,9 +129,16 @@ class Sumo:
             v=[vehicle.getSpeed(v) for v in ids],
             leader=[leader for leader, _ in ahead],
             gap=[gap for _, gap in ahead],
-            left=[vehicle.getLaneChangeState(v, 1)[0] for v in ids],
-            right=[vehicle.getLaneChangeState(v, -1)[0] for v in ids],
         )
+
+    def lane_change_state(self, vehicle: str, left: bool) -> int:
+        """What a driver's lane-change model thought of one side in the last step (`cosim.snapshot.LaneChange`)."""
+        return libsumo.vehicle.getLaneChangeState(vehicle, 1 if left else -1)[0]
+
+    def must_leave(self, vehicle: str) -> bool:
+        """Whether a vehicle's lane does not take it along its route; it depends on lane and route alone."""
+        own = libsumo.vehicle.getLaneID(vehicle)
+        return any(lane == own and offset != 0 for lane, _, _, offset, *_ in libsumo.vehicle.getBestLanes(vehicle))
 
     def speeds(self, vehicles: Sequence[str]) -> list[float]:
         """Speed [m/s] of each vehicle, nan where it is gone."""

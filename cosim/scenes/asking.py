@@ -4,7 +4,7 @@ SUMO does not tell to whom a request goes. It goes from who urgently wants to a 
 vehicle behind, which is to slow down, and to a slower one ahead, which is to let itself be overtaken.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +12,14 @@ import numpy as np
 from cosim.snapshot import Driving, LaneChange
 from cosim.sumo import Sumo
 
+URGENT = int(LaneChange.URGENT)  # as plain numbers, which are faster
+SIDES = tuple(
+    (int(wish), int(behind), int(ahead))
+    for wish, behind, ahead in (
+        (LaneChange.LEFT, LaneChange.BLOCKED_BY_LEFT_FOLLOWER, LaneChange.BLOCKED_BY_LEFT_LEADER),
+        (LaneChange.RIGHT, LaneChange.BLOCKED_BY_RIGHT_FOLLOWER, LaneChange.BLOCKED_BY_RIGHT_LEADER),
+    )
+)
 SAME_LANE = 1.0  # [m] of lateral distance between lanes that continue each other
 
 
@@ -27,30 +35,28 @@ class Change:
     """Who drives behind it in the new lane; "": nobody near."""
 
 
-def askers(world: Sumo, driving: Driving) -> dict[int, str]:
-    """By whom each row is asked; of several by the nearest."""
+def askers(world: Sumo, driving: Driving, concerned: Iterable[int]) -> dict[int, str]:
+    """By whom each row is asked; of several by the nearest. Asking are some of the rows concerned."""
     found: dict[int, tuple[float, str]] = {}
-    urgent = [row for row, of in enumerate(zip(driving.left, driving.right, strict=True)) if any(map(_asks, of))]
+    states = {
+        row: tuple(world.lane_change_state(driving.ids[row], left) for left in (True, False)) for row in concerned
+    }
+    urgent = [row for row, (left, right) in states.items() if (left | right) & URGENT]
     rows = {vehicle: row for row, vehicle in enumerate(driving.ids)} if urgent else {}
     for row in urgent:
-        for other, distance in _asked(world, driving, row, rows):
+        for other, distance in _asked(world, driving, row, states[row], rows):
             if other in rows and distance < found.get(rows[other], (np.inf, ""))[0]:
                 found[rows[other]] = distance, driving.ids[row]
     return {row: asker for row, (_, asker) in found.items()}
 
 
-def _asks(state: int) -> bool:
-    return bool(state & LaneChange.URGENT)
-
-
-def _asked(world: Sumo, driving: Driving, row: int, rows: dict[str, int]) -> Iterator[tuple[str, float]]:
+def _asked(
+    world: Sumo, driving: Driving, row: int, states: tuple[int, ...], rows: dict[str, int]
+) -> Iterator[tuple[str, float]]:
     """Whom a vehicle asks, and how far away they are [m]."""
-    vehicle, bits = driving.ids[row], LaneChange
-    for to_left, state, wish, behind, ahead in (
-        (True, driving.left[row], bits.LEFT, bits.BLOCKED_BY_LEFT_FOLLOWER, bits.BLOCKED_BY_LEFT_LEADER),
-        (False, driving.right[row], bits.RIGHT, bits.BLOCKED_BY_RIGHT_FOLLOWER, bits.BLOCKED_BY_RIGHT_LEADER),
-    ):
-        if not (_asks(state) and state & wish):
+    vehicle = driving.ids[row]
+    for to_left, state, (wish, behind, ahead) in zip((True, False), states, SIDES, strict=True):
+        if not (state & URGENT and state & wish):
             continue
         if state & behind:
             yield world.neighbour(vehicle, to_left, ahead=False)

@@ -31,7 +31,7 @@ class Rules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     """Steps that vehicle 0 of a merge was seen before the crossing, at least; half of T are wanted."""
     strategic: bool = True
     """Merges are lane changes that a driver must make to go its way; else also those for speed."""
-    at_once: int = 6
+    at_once: int = 2
     """Car-following scenes of the same stretch of time, at most."""
     spacing: float = 50.0
     """Front to front to the vehicle ahead less than this, always when following, at step 0 and the crossing when

@@ -123,6 +123,7 @@ class Reel:
             self._merges(moment)
         if "car_following" in kinds and moment.index and moment.index % rules.following_steps == 0:
             self._chains(moment)
+        before = len(self._clips)
         due = [w for w in self._waiting if w.begin + rules.steps(w.kind) == moment.index]
         self._waiting = [w for w in self._waiting if w.begin + rules.steps(w.kind) > moment.index]
         for window in due:
@@ -131,7 +132,7 @@ class Reel:
                 self._counts(window.kind)["left the stretch"] += 1
             else:
                 self._clips.append(clip)
-        return self.developed() if self._ripe() else []
+        return self.developed() if len(self._clips) > before and self._ripe() else []
 
     def _ripe(self) -> bool:
         """Whether there are many clips, or enough to be done with a kind."""

@@ -19,6 +19,7 @@ COLUMNS = ("lane", "position", "v", "leader", "gap", "limit", "asker", "gave_way
            "unasked")  # fmt: skip
 COLUMN = {name: k for k, name in enumerate(COLUMNS)}
 MILLION = 1_000_000
+NEAR = 40.0  # [m] from who must change lanes; who helps it may have to ask others
 AHEAD = 8  # moments that the simulation may be ahead of the copies that try interventions
 
 
@@ -79,6 +80,7 @@ class Stretch:
         strips = {name: world.strip(name, road) for name in world.lanes_of(edges)}
         self.names = [name for name, strip in strips.items() if strip.end > 0 and strip.begin < reach]
         self.lanes = [_lane(world, name, road) for name in self.names]
+        self.begins = [strips[name].begin for name in self.names]
         self.centres = [lane.centre for lane in self.lanes]
         self.road = road
 
@@ -102,6 +104,7 @@ class Tape:
         self.moments: deque[Moment] = deque(maxlen=length)
         self._lane_of: dict[str, int] = {}
         self._tries: deque[tuple[Moment, dict[str, Branch[list[float]]]]] = deque()
+        self._restless: dict[tuple[int, int], bool] = {}  # by number and lane
         self.count = 0
         """Moments so far."""
 
@@ -146,18 +149,19 @@ class Tape:
     def _changes(self, driving: Driving) -> list[Change]:
         """Lane changes on the same edge since the last reading."""
         lanes, lane_of, changes = self.stretch.lanes, self._lane_of, []
-        for row, (vehicle, lane) in enumerate(zip(driving.ids, driving.lane, strict=True)):
+        for vehicle, lane in zip(driving.ids, driving.lane, strict=True):
             before = lane_of.get(vehicle, lane)
             if before != lane and lanes[before].edge == lanes[lane].edge:
-                decided = driving.left if lanes[lane].centre > lanes[before].centre else driving.right
+                state = self.world.lane_change_state(vehicle, lanes[lane].centre > lanes[before].centre)
                 behind = now_behind(driving, vehicle, self.stretch.centres)
                 name = "" if behind is None else driving.ids[behind]
-                changes.append(Change(vehicle, before, lane, decided[row], name))
+                changes.append(Change(vehicle, before, lane, state, name))
             lane_of[vehicle] = lane
         return changes
 
     def _moment(self, time: float, driving: Driving, changes: list[Change]) -> Moment:
         numbers, count = self.numbers, len(driving.ids)
+        number = [numbers[vehicle] for vehicle in driving.ids]
         values = np.zeros((count, len(COLUMNS)))
         values[:, COLUMN["lane"]] = driving.lane
         values[:, COLUMN["position"]] = driving.position
@@ -167,10 +171,23 @@ class Tape:
         values[:, COLUMN["limit"]] = np.array(self.world.limits(self.stretch.names))[driving.lane]
         values[:, [COLUMN["asker"], COLUMN["cut"]]] = NOBODY
         values[:, COLUMN["room"]] = np.inf
-        for row, asker in askers(self.world, driving).items():
+        for row, asker in askers(self.world, driving, self._concerned(driving, number)).items():
             values[row, COLUMN["asker"]] = numbers[asker]
-        row_of = {numbers[vehicle]: row for row, vehicle in enumerate(driving.ids)}
+        row_of = dict(zip(number, range(count), strict=True))
         return Moment(self.count, time, driving.ids, driving.leader, row_of, values, changes)
+
+    def _concerned(self, driving: Driving, number: list[int]) -> list[int]:
+        """Rows of who must change lanes, and of whoever is near them: nobody else asks for room."""
+        found = []
+        for row, key in enumerate(zip(number, driving.lane, strict=True)):
+            if key not in self._restless:
+                self._restless[key] = self.world.must_leave(driving.ids[row])
+            if self._restless[key]:
+                found.append(row)
+        if not found:
+            return []
+        s = np.array(self.stretch.begins)[driving.lane] + driving.position
+        return np.flatnonzero((np.abs(s - s[found, None]) < NEAR).any(0)).tolist()
 
     def _mark(self, moment: Moment, before: Moment | None, driving: Driving, change: Change) -> None:
         """What a lane change did to who drives behind it now, and whether it was made for somebody."""

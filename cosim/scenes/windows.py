@@ -26,15 +26,17 @@ class Window:
 
 def rows_through(moments: Sequence[Moment], vehicles: Sequence[int]) -> np.ndarray | None:
     """[V, T] Rows of vehicles in all these moments; None where one is missing somewhere."""
-    rows = [[moment.row.get(vehicle, -1) for moment in moments] for vehicle in vehicles]
-    found = np.array(rows)
-    return None if (found < 0).any() else found
+    try:
+        return np.array([list(map(moment.row.__getitem__, vehicles)) for moment in moments]).T
+    except KeyError:
+        return None
 
 
 def chains(moments: Sequence[Moment], lanes: Sequence[Lane], counts: Counter[str]) -> list[Trio]:
     """Who followed whom followed whom in one lane all through these moments, sorted."""
     first = moments[0]
-    there = [number for number in first.row if all(number in moment.row for moment in moments)]
+    all_through = set(first.row).intersection(*(moment.row for moment in moments))
+    there = [number for number in first.row if number in all_through]
     rows = rows_through(moments, there) if there else None
     if rows is None:
         return []

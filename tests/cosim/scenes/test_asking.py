@@ -11,16 +11,19 @@ FOLLOWER, LEADER = int(LaneChange.BLOCKED_BY_LEFT_FOLLOWER), int(LaneChange.BLOC
 
 
 class World(Sumo):
-    """Knows the neighbours it is told of: (vehicle, ahead) -> (other, distance)."""
+    """Knows the neighbours it is told of, (vehicle, ahead) -> (other, distance), and wishes to the left."""
 
-    def __init__(self, neighbours: dict[tuple[str, bool], tuple[str, float]]) -> None:
-        self.neighbours = neighbours
+    def __init__(self, neighbours: dict[tuple[str, bool], tuple[str, float]], **left: int) -> None:
+        self.neighbours, self.left = neighbours, left
+
+    def lane_change_state(self, vehicle: str, left: bool) -> int:
+        return self.left.get(vehicle, 0) if left else 0
 
     def neighbour(self, vehicle: str, left: bool, ahead: bool) -> tuple[str, float]:
         return self.neighbours.get((vehicle, ahead), ("", math.inf)) if left else ("", math.inf)
 
 
-def driving(left: dict[str, int], v: dict[str, float] | None = None, leader: dict[str, str] | None = None) -> Driving:
+def driving(v: dict[str, float] | None = None, leader: dict[str, str] | None = None) -> Driving:
     """Vehicles m, n on lane 0; f, l on lane 1."""
     ids = ["m", "n", "f", "l"]
     return Driving(
@@ -30,33 +33,35 @@ def driving(left: dict[str, int], v: dict[str, float] | None = None, leader: dic
         v=[(v or {}).get(name, 10.0) for name in ids],
         leader=[(leader or {}).get(name, "") for name in ids],
         gap=[10.0] * 4,
-        left=[left.get(name, 0) for name in ids],
-        right=[0] * 4,
     )
 
 
+def asked(world: World, traffic: Driving | None = None) -> dict[int, str]:
+    return askers(world, traffic or driving(), range(4))
+
+
 def test_who_urgently_wants_in_asks_who_blocks_it_from_behind():
-    world = World({("m", False): ("f", 5.0)})
-    assert askers(world, driving({"m": WISH | FOLLOWER})) == {2: "m"}
-    assert askers(world, driving({"m": WISH})) == {}
-    assert askers(world, driving({"m": (WISH | FOLLOWER) & ~LaneChange.URGENT})) == {}
-    assert askers(world, driving({"m": FOLLOWER})) == {}
+    near = {("m", False): ("f", 5.0)}
+    assert asked(World(near, m=WISH | FOLLOWER)) == {2: "m"}
+    assert asked(World(near, m=WISH)) == {}
+    assert asked(World(near, m=(WISH | FOLLOWER) & ~int(LaneChange.URGENT))) == {}
+    assert asked(World(near, m=FOLLOWER)) == {}
+    assert askers(World(near, m=WISH | FOLLOWER), driving(), [1, 2, 3]) == {}
 
 
 def test_a_slower_one_ahead_is_asked_to_be_overtaken():
-    world = World({("m", True): ("l", 5.0)})
-    blocked = {"m": WISH | LEADER}
-    assert askers(world, driving(blocked, {"l": 8.0})) == {3: "m"}
-    assert askers(world, driving(blocked, {"l": 12.0})) == {}
+    world = World({("m", True): ("l", 5.0)}, m=WISH | LEADER)
+    assert asked(world, driving({"l": 8.0})) == {3: "m"}
+    assert asked(world, driving({"l": 12.0})) == {}
 
 
 def test_of_two_who_ask_the_nearer_counts():
-    world = World({("m", False): ("f", 5.0), ("n", False): ("f", 3.0)})
-    assert askers(world, driving({"m": WISH | FOLLOWER, "n": WISH | FOLLOWER})) == {2: "n"}
+    near = {("m", False): ("f", 5.0), ("n", False): ("f", 3.0)}
+    assert asked(World(near, m=WISH | FOLLOWER, n=WISH | FOLLOWER)) == {2: "n"}
 
 
 def test_who_drives_behind_in_the_same_lane():
-    traffic = driving({}, leader={"f": "l", "m": "l"})
+    traffic = driving(leader={"f": "l", "m": "l"})
     assert now_behind(traffic, "l", [-3.5, 0.0]) == 2
     assert now_behind(traffic, "f", [-3.5, 0.0]) is None
     assert now_behind(traffic, "gone", [-3.5, 0.0]) is None
