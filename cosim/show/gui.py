@@ -3,6 +3,7 @@
 import os
 import shutil
 import sys
+import time
 from pathlib import Path
 
 import msgspec
@@ -39,7 +40,7 @@ def command(view: View, run: Path, program: str) -> list[str]:
     options = {
         "net-file": str(find_net(scenario.net)),
         "step-length": f"{scenario.step:g}",
-        "delay": 1000 * scenario.step,
+        "window-size": "1400,600",
     }
     flags = ["--start", "--quit-on-end", "--no-step-log", "--collision.action", "none"]
     return [program, *(part for name, value in options.items() for part in (f"--{name}", value)), *flags]
@@ -59,6 +60,7 @@ def _play(view: View, command: list[str]) -> None:
             traci.vehicle.setWidth(vehicle, float(view.width[role]))
             traci.vehicle.setColor(vehicle, COLOURS[role])
         x, y, heading = (view.feature(name) for name in ("x", "y", "heading"))
+        began = time.monotonic()
         for k in range(len(view.time)):
             for role in np.flatnonzero(view.present[k]):
                 pose = float(x[k, role]), float(y[k, role]), sumo_angle_of(float(heading[k, role]))
@@ -66,6 +68,7 @@ def _play(view: View, command: list[str]) -> None:
             if k == 0:
                 traci.gui.trackVehicle("View #0", view.ids[1])
                 traci.gui.setZoom("View #0", 1500)
+            time.sleep(max(began + view.time[k] - view.time[0] - time.monotonic(), 0.0))  # no delay option binds TraCI
             traci.simulationStep()
     finally:
         traci.close()

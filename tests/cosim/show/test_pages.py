@@ -3,16 +3,18 @@
 import json
 import re
 
+import msgspec
 import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
 
+from cosim.loading import load_scenario
 from cosim.show import charts, graphs
 from cosim.show.animation import data_of, html, script_of
 from cosim.show.episode import view
 from cosim.show.film import film
-from cosim.show.gui import replay
+from cosim.show.gui import command, replay
 from cosim.show.worst import worst
 from gri.errors import InputError
 
@@ -58,6 +60,14 @@ def test_sumo_gui_without_a_display_says_what_to_do_instead(episode, tmp_path, m
     monkeypatch.setenv("PATH", str(tmp_path))
     with pytest.raises(InputError, match="sumo-gui is not installed"):
         replay(episode, tmp_path)
+
+
+def test_the_command_line_of_sumo_gui_is_made_of_words(episode, tmp_path):
+    (tmp_path / "scenario.json").write_bytes(msgspec.json.encode(load_scenario("us101_merge")))
+    words = command(episode, tmp_path, "sumo-gui")
+    assert all(isinstance(word, str) for word in words)
+    assert words[words.index("--net-file") + 1].endswith("us101.net.xml")
+    assert words[words.index("--step-length") + 1] == "0.2"
 
 
 @pytest.fixture
