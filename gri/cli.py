@@ -17,10 +17,11 @@ from gri.data.recorded_ranges import RECORDED
 from gri.data.store import Splits, recorded_splits, scenes_of, scenes_path
 from gri.display import Bar, console, next_command
 from gri.errors import InputError
-from gri.evaluate import Evaluation, evaluate
+from gri.evaluate import Evaluation, believed, evaluate
 from gri.ngsim_cli import app as ngsim_app
 from gri.reproduce import TABLES, Plan
 from gri.train import TrainConfig, read_train_config, train
+from gri.truth import beside_truth, truth_tables
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -53,7 +54,11 @@ def train_command(
     scenes: ScenesOption = SCENES,
     ngsim: Annotated[
         Path | None,
-        typer.Option(help="For ngsim_…: a file of `gri ngsim scenes`, or a folder of NGSIM files to cut."),
+        typer.Option(
+            "--ngsim",
+            "--scene-file",
+            help="For ngsim_… and sumo_…: a file of `gri ngsim scenes` or `cosim scenes`; or NGSIM files to cut.",
+        ),
     ] = None,
 ) -> None:
     """2. Train a model and write its checkpoint."""
@@ -82,13 +87,18 @@ def evaluate_command(
     if "config" not in made:
         raise InputError(f"{path}: does not say which scenes it belongs to; evaluate one written by `gri train`")
     config = msgspec.convert(made["config"], TrainConfig)
+    found = None
     if scene_file is None:
         test = _scenes(config, scenes).test
     elif config.data.recorded is not None:
-        test = recorded_scenes(scene_file, config.data.recorded, split)[0]
+        test, found = recorded_scenes(scene_file, config.data.recorded, split)
     else:
         raise InputError(f"{path}: was trained on synthetic scenes; a scene file is for models of recorded traffic")
     console.print(_table(path.stem, evaluate(model, test), len(test)))
+    if found is not None and found.hypothesis is not None and found.unambiguous is not None:
+        compared = beside_truth(believed(model, test).map, test.graph, found.hypothesis, found.unambiguous)
+        for table in truth_tables(compared, model.config.vocabulary):
+            console.print(table)
     next_command("cosim --help")
 
 
@@ -175,7 +185,7 @@ def _recorded(config: TrainConfig, source: Path, folder: Path) -> Splits:
     if config.data.recorded is None:
         raise InputError(f"got --ngsim, but {config.name} learns from synthetic scenes; leave it out")
     with Bar() as progress:
-        return recorded_splits(config.data.recorded, scene_file(source, folder, progress))
+        return recorded_splits(config.data.recorded, [scene_file(source, folder, progress)])
 
 
 def _table(name: str, result: Evaluation, scenes: int) -> Table:

@@ -74,7 +74,7 @@ class Job:
 
     def folder(self, cache: Path, file: str) -> Path:
         content = [VERSION, self.config, self.scenes, self.seed, self.site, file, self.row.meaning]
-        content += [table2_lanes.FOLDS, table2_lanes.TUNING] if self.scenes.reward.lanes else []
+        content += [table2_lanes.FOLDS, table2_lanes.TUNING] if self.scenes.lanes else []
         key = hashlib.sha256(msgspec.json.encode(content)).hexdigest()[:10]
         name = f"{self.scenario}{self.row.suffix or ('_idm' if self.row is IDM else '')}-s{self.seed}"
         return cache / f"{name}{f'-{self.site}' if self.site else ''}-{key}"
@@ -107,7 +107,7 @@ def jobs_of(scenario: str, seeds: int, sites: Sequence[str], names: Sequence[str
         raise InputError(f"got row {unknown[0]}, wanted one of {', '.join(row.name for row in ROWS)}")
     rows = [row for row in ROWS if not names or row.name in names]
     made = [Job(scenario, row, seed) for seed in range(seeds) for row in rows]
-    if RECORDED[scenario].reward.lanes:
+    if RECORDED[scenario].lanes:
         return made
     made.insert(0, Job(scenario, IDM, 0))
     if len(sites) > 1:
@@ -121,7 +121,7 @@ def run(job: Job, path: Path, cache: Path, progress: Progress = silent) -> dict[
     folder = job.folder(cache, file)
     if not job.is_done(cache, file):
         began = time.process_time()
-        made = _lanes if job.scenes.reward.lanes else _following
+        made = _lanes if job.scenes.lanes else _following
         result = made(job, path, folder, progress)
         write(folder / "result.json", result | {"cpu_seconds": round(time.process_time() - began, 1)})
     return job.result(cache, file)

@@ -71,7 +71,7 @@ def publish(order: Order, progress: Progress = silent) -> list[Path]:
     path = scene_file(order.source, order.cache, progress)
     results = _results(order, path, progress)
     order.out.mkdir(parents=True, exist_ok=True)
-    lanes = RECORDED[order.scenario].reward.lanes
+    lanes = RECORDED[order.scenario].lanes
     page = order.out / "table2.md"
     page.write_text((table2_lanes_report.text if lanes else _text)(results, path), "utf-8")
     files = [page, *(table2_lanes_report.tables if lanes else _tables)(results, order.out)]

@@ -62,4 +62,5 @@ def scenes(
     for table in tables(report):
         console.print(table)
     say(report["cost"]["text"])
-    next_command(f"gri train ngsim_car_following --ngsim {made.path}")
+    config = "sumo_car_following" if "car_following" in order.kinds else "sumo_merge_supervised"
+    next_command(f"gri train {config} --scene-file {made.path}")

@@ -1,7 +1,9 @@
 """Recorded scenes for training and testing: read from a scene file, in the layout the models work in."""
 
+from collections.abc import Sequence
 from pathlib import Path
 
+import torch
 from jaxtyping import Float
 from torch import Tensor
 
@@ -12,21 +14,24 @@ from gri.dynamics import dynamics_named
 from gri.errors import InputError
 
 
-def recorded_scenes(path: Path, scenes: RecordedRange, split: str | None) -> tuple[Scenes, Recorded]:
-    """Scenes of a file with their actions, and all else the file says of them.
+def recorded_scenes(path: Path | Sequence[Path], scenes: RecordedRange, split: str | None) -> tuple[Scenes, Recorded]:
+    """Scenes of a file, or of several, with their actions, and all else the files say of them.
 
     y is counted from the mean lateral position of the leader, so that the target lane is at 0, and x from where vehicle
-    0 starts. Errors: `InputError` where the file has no such scenes, or of another length or rate.
+    0 starts. Errors: `InputError` where a file has no such scenes, or of another length or rate.
     """
     dynamics = dynamics_named(scenes.dynamics)
-    found = _found(path, scenes, split)
+    paths = [path] if isinstance(path, Path) else path
+    found = joined([part for each in paths for part in _found(each, scenes, split)])
     state = _in_lane(found.trajectory.state) if "y" in dynamics.state else found.trajectory.state
+    if scenes.length is not None:
+        state = _as_long_as(scenes.length, state, found.length)
     state = _from_origin(state)
     action = dynamics.inverse(state[:, :-1, :-1], state[:, :-1, 1:], found.trajectory.dt)
     return Scenes(state, action, found.graph), found
 
 
-def _found(path: Path, scenes: RecordedRange, split: str | None) -> Recorded:
+def _found(path: Path, scenes: RecordedRange, split: str | None) -> list[Recorded]:
     dynamics, parts = dynamics_named(scenes.dynamics), []
     for kind in kinds_in(path, scenes, split):
         part = read(path, kind, dynamics, scenes.vocabulary, split)
@@ -39,7 +44,7 @@ def _found(path: Path, scenes: RecordedRange, split: str | None) -> Recorded:
         if not bool(part.trajectory.valid.all()):
             raise InputError(f"{path}: some states of kind {kind} do not exist, wanted complete scenes")
         parts.append(part)
-    return joined(parts)
+    return parts
 
 
 def kinds_in(path: Path, scenes: RecordedRange, split: str | None) -> tuple[str, ...]:
@@ -52,6 +57,17 @@ def kinds_in(path: Path, scenes: RecordedRange, split: str | None) -> tuple[str,
 def _in_lane(state: Float[Tensor, "S N T D"]) -> Float[Tensor, "S N T D"]:
     shifted = state.clone()
     shifted[..., 1] -= state[:, -1:, :, 1].mean(2, keepdim=True)
+    return shifted
+
+
+def _as_long_as(
+    length: float, state: Float[Tensor, "S N T D"], lengths: Float[Tensor, "S N"]
+) -> Float[Tensor, "S N T D"]:
+    """x shifted so that every vehicle ahead counts as so long [m], from the rear to the front at step 0."""
+    shifted, order = state.clone(), state[:, :, 0, 0].argsort(1)
+    offsets = (length - lengths.gather(1, order))[:, 1:].cumsum(1)
+    offsets = torch.cat([torch.zeros_like(offsets[:, :1]), offsets], 1)
+    shifted[..., 0] += torch.zeros_like(lengths).scatter(1, order, offsets)[..., None]
     return shifted
 
 

@@ -1,34 +1,44 @@
-"""The kinds of recorded scenes, and what their models are built from (Sec. VI-D)."""
+"""The kinds of recorded scenes, in traffic and in SUMO, and what their models are built from (Sec. VI-C, VI-D)."""
 
 import msgspec
 
-from gri.data.ranges import ONE_GRAPH, GraphShare
+from gri.data.highway_merge import HIGHWAY_MERGE, LENGTH
+from gri.data.ranges import ONE_GRAPH, US101, GraphShare
 from gri.dynamics import DynamicsName
-from gri.graph import FOLLOWING, YIELDING, Vocabulary
-from gri.model import MERGE_BEHIND, MERGE_BETWEEN
+from gri.graph import FOLLOWING, LANE_CHANGING, YIELDING, Vocabulary
+from gri.model import MERGE, MERGE_BEHIND, MERGE_BETWEEN
 from gri.scale import CAR_FOLLOWING_NGSIM, LANE_CHANGING_NGSIM, Scale
-from gri.terms import NaturalisticConfig
+from gri.terms import AnyRewardConfig, NaturalisticConfig
 
 
 class RecordedRange(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """All that recorded scenes of one kind have in common (Sec. VI-D)."""
+    """All that scenes of one kind, recorded in traffic or in SUMO, have in common."""
 
     name: str
     kinds: tuple[str, ...]
     """In the scene file."""
     steps: int
-    reward: NaturalisticConfig
+    reward: AnyRewardConfig
     scale: Scale
     dynamics: DynamicsName
     vocabulary: Vocabulary
     dt: float = 0.2
     never_reverse: bool = False
+    length: float | None = None
+    """Of every vehicle ahead as models of SUMO's traffic count it [m]; None: as it is."""
+    seen: int | None = None
+    """Steps from which the encoder infers; None: the whole scene, as in the paper."""
     one_graph: tuple[GraphShare, ...] = ONE_GRAPH
 
     @property
+    def lanes(self) -> bool:
+        """Whether vehicles change lanes."""
+        return self.dynamics is not DynamicsName.POINT_MASS_1D
+
+    @property
     def history_steps(self) -> int:
-        """The encoder sees the whole scene, as in the paper."""
-        return self.steps
+        """From how many steps the encoder infers the graph."""
+        return self.seen or self.steps
 
     @property
     def mixed_graphs(self) -> tuple[GraphShare, ...]:
@@ -56,4 +66,29 @@ NGSIM_LANE_CHANGING = RecordedRange(
     vocabulary=YIELDING,
     one_graph=(GraphShare(share=0.5, edges=MERGE_BEHIND), GraphShare(share=0.5, edges=MERGE_BETWEEN)),
 )
-RECORDED = {scenes.name: scenes for scenes in (NGSIM_CAR_FOLLOWING, NGSIM_LANE_CHANGING)}
+SUMO_CAR_FOLLOWING = RecordedRange(
+    name="sumo_car_following",
+    kinds=("car_following",),
+    steps=30,
+    seen=25,
+    reward=US101.reward,
+    scale=US101.scale,
+    dynamics=DynamicsName.POINT_MASS_1D,
+    vocabulary=FOLLOWING,
+    never_reverse=True,
+    length=LENGTH,
+)
+SUMO_MERGE = RecordedRange(
+    name="sumo_merge",
+    kinds=("merge",),
+    steps=40,
+    reward=HIGHWAY_MERGE.reward,
+    scale=HIGHWAY_MERGE.scale,
+    dynamics=DynamicsName.DUBINS,
+    vocabulary=LANE_CHANGING,
+    never_reverse=True,
+    length=LENGTH,
+    one_graph=(GraphShare(share=1.0, edges=MERGE),),
+)
+"""The whole scene is seen: who cut in shows only after it has."""
+RECORDED = {s.name: s for s in (NGSIM_CAR_FOLLOWING, NGSIM_LANE_CHANGING, SUMO_CAR_FOLLOWING, SUMO_MERGE)}

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from gri.data.scenes_file import opened, read_header
@@ -28,6 +28,10 @@ class Recorded:
     split: np.ndarray
     vehicle: np.ndarray
     length: Float[Tensor, "S N"]
+    hypothesis: Int[Tensor, "S E"] | None = None
+    """What the geometry suggests, where the file knows better."""
+    unambiguous: Bool[Tensor, " S"] | None = None
+    """Whether the graph says all that the steps of a scene say, where it is reduced from those."""
 
     def __len__(self) -> int:
         return len(self.graph)
@@ -42,7 +46,9 @@ def read(path: Path, kind: str, dynamics: Dynamics, vocabulary: Vocabulary, spli
     n = header.vehicles
     filters = [("kind", "=", kind)] + ([("split", "=", split)] if split else [])
     names = ["scene", "step", "valid", "source", "split", "vehicle", "length", *dynamics.state]
-    table = pq.read_table(path, columns=[*names, *[f"edge_from_{i}" for i in range(n)]], filters=filters)
+    known = set(opened(path).schema_arrow.names)
+    more = [*(f"{word}_from_{i}" for word in ("edge", "hypothesis") for i in range(n)), "unambiguous"]
+    table = pq.read_table(path, columns=[*names, *(name for name in more if name in known)], filters=filters)
     if not table.num_rows:
         raise InputError(f"{path}: has no scenes of kind {kind}{f' in split {split}' if split else ''}; make some")
     steps = int(table["step"].to_numpy().max()) + 1
@@ -55,14 +61,21 @@ def read(path: Path, kind: str, dynamics: Dynamics, vocabulary: Vocabulary, spli
     state = np.stack([table[name].to_numpy().reshape(shape) for name in dynamics.state], -1)
     valid = table["valid"].to_numpy(zero_copy_only=False).reshape(shape)
     first = {name: table[name].to_numpy(zero_copy_only=False).reshape(shape)[:, :, 0] for name in names[3:7]}
-    edges = [table[f"edge_from_{i}"].to_numpy(zero_copy_only=False).reshape(shape)[:, j, 0] for i, j in pairs(n)]
+
+    def graph_of(word: str) -> Tensor:
+        columns = [table[f"{word}_from_{i}"].to_numpy(zero_copy_only=False).reshape(shape) for i in range(n)]
+        return torch.from_numpy(_indices(np.stack([columns[i][:, j, 0] for i, j in pairs(n)], 1), vocabulary, path))
+
+    reduced = "unambiguous" in known and not table["unambiguous"].null_count
     return Recorded(
         Trajectory(torch.from_numpy(state).float(), torch.from_numpy(valid.copy()), header.dt),
-        torch.from_numpy(_indices(np.stack(edges, 1), vocabulary, path)),
+        graph_of("edge"),
         first["source"][:, 0],
         first["split"][:, 0],
         first["vehicle"],
         torch.from_numpy(np.nan_to_num(first["length"].astype(np.float32))),
+        graph_of("hypothesis") if reduced else None,
+        torch.from_numpy(table["unambiguous"].to_numpy().reshape(shape)[:, 0, 0].copy()) if reduced else None,
     )
 
 
@@ -85,7 +98,15 @@ def joined(parts: Sequence[Recorded]) -> Recorded:
         np.concatenate([part.split for part in parts]),
         np.concatenate([part.vehicle for part in parts]),
         torch.cat([part.length for part in parts]),
+        _all_of([part.hypothesis for part in parts]),
+        _all_of([part.unambiguous for part in parts]),
     )
+
+
+def _all_of(parts: Sequence[Tensor | None]) -> Tensor | None:
+    """One after the other; None where a part has nothing."""
+    there = [part for part in parts if part is not None]
+    return torch.cat(there) if len(there) == len(parts) else None
 
 
 def _indices(names: np.ndarray, vocabulary: Vocabulary, path: Path) -> np.ndarray:

@@ -3,6 +3,7 @@
 import hashlib
 import os
 import zipfile
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -27,7 +28,10 @@ _SYNTHETIC: dict[str, Range] = {**RANGES, "lane_changing": LANE_CHANGING_SCENES,
 class DataConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Which scenes; of synthetic ones also how many, from which seed. Recorded ones come with their splits."""
 
-    range: Literal["paper", "us101", "lane_changing", "highway_merge", "ngsim_car_following", "ngsim_lane_changing"]
+    range: Literal[
+        "paper", "us101", "lane_changing", "highway_merge",
+        "ngsim_car_following", "ngsim_lane_changing", "sumo_car_following", "sumo_merge",
+    ]  # fmt: skip
     graphs: Literal["one", "mixed"]
     """The paper's one true graph for all scenes, or several of which that one is the most frequent."""
     train: int = 2000
@@ -37,6 +41,8 @@ class DataConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     expert_updates: int = 1500
     action_noise: float = 0.0
     """Standard deviation [m/s³] of independent noise on the expert's jerk."""
+    files: tuple[str, ...] | msgspec.UnsetType = msgspec.UNSET
+    """Scene files of recorded scenes, of traffic and of SUMO as they fit; left out: the one in the scenes folder."""
 
     @property
     def recorded(self) -> RecordedRange | None:
@@ -65,10 +71,10 @@ class Splits:
 def scenes_path(config: DataConfig, folder: Path) -> Path:
     """Where the scenes of a configuration are kept; the name changes with anything synthetic ones depend on.
 
-    Recorded ones are in the file that `gri ngsim scenes` writes.
+    Recorded ones are in the file that `gri ngsim scenes` or `cosim scenes` writes.
     """
     if config.recorded is not None:
-        return folder / "ngsim.parquet"
+        return folder / f"{config.range.partition('_')[0]}.parquet"
     content = msgspec.json.encode([config, config.scene_range, config.shares])
     return folder / f"{config.range}-{config.graphs}-{hashlib.sha256(content).hexdigest()[:10]}.npz"
 
@@ -77,18 +83,20 @@ def scenes_of(config: DataConfig, folder: Path, progress: Progress = silent) -> 
     """The scenes of a configuration: from their file if it is there, else from a newly trained expert."""
     path = scenes_path(config, folder)
     if config.recorded is not None:
-        return recorded_splits(config.recorded, path)
+        return recorded_splits(config.recorded, [path] if not config.files else [Path(file) for file in config.files])
     scenes = read_scenes(path) if path.is_file() else _made(config, path, progress)
     sizes = [config.train, config.validation, config.test]
     parts = torch.arange(len(scenes)).split(sizes)
     return Splits(*(scenes[part] for part in parts))
 
 
-def recorded_splits(scenes: RecordedRange, path: Path) -> Splits:
-    """The splits of a scene file. Errors: `InputError` where it is not there, or a split is empty."""
-    if not path.is_file():
-        raise InputError(f"{path}: no such scene file; make it with `gri ngsim scenes FILE... --out {path}`")
-    parts = (recorded_scenes(path, scenes, split)[0] for split in ("train", "validation", "test"))
+def recorded_splits(scenes: RecordedRange, paths: Sequence[Path]) -> Splits:
+    """The splits of scene files. Errors: `InputError` where one is not there, or a split is empty."""
+    for path in paths:
+        if not path.is_file():
+            command = "cosim scenes SCENARIO" if scenes.name.startswith("sumo") else "gri ngsim scenes FILE..."
+            raise InputError(f"{path}: no such scene file; make one with `{command} --out ...`")
+    parts = (recorded_scenes(paths, scenes, split)[0] for split in ("train", "validation", "test"))
     return Splits(*parts)
 
 
