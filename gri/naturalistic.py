@@ -34,12 +34,12 @@ class References(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Size of the reference networks, where they begin, and the range of the point of collision."""
 
     hidden: int = 16
-    speed: float = 25.0
-    """h1 before training, the free speed of an urban freeway [m/s]."""
+    speed: float = 29.0
+    """h1 before training, the 65 mph posted on California freeways [m/s]."""
     headway: float = 6.0
     """h3 of standing vehicles before training, and s of h2 [m]."""
-    time_headway: float = 0.8
-    """By how much h3 grows with v_j before training, and T of h2 [s]."""
+    time_headway: float = 1.3
+    """By how much h3 grows with v_j before training, and T of h2: the mean of IDM drivers on US-101 [s]."""
     closing: float = 0.2
     """κ before training [1/s]."""
     correction: float = 1.0

@@ -42,12 +42,14 @@ class Row:
     """Its edge types have the meaning of the definitions."""
     transfers: bool = False
     """Also trained on each site alone and tested on the other."""
+    rewarded: bool = False
+    """Depends on the reward of the scenes."""
 
 
 IDM = Row("IDM, calibrated", "", transfers=True)
 ROWS = (
-    Row("GRI", "", transfers=True),
-    Row("GRI (paper)", "_airl"),
+    Row("GRI", "", transfers=True, rewarded=True),
+    Row("GRI (paper)", "_airl", rewarded=True),
     Row("NRI", "_nri", meaning=False),
     Row("Supervised", "_supervised", transfers=True),
 )
@@ -73,7 +75,8 @@ class Job:
         return read_train_config(resources.shipped("scenarios", "train", f"{self.scenario}{self.row.suffix}.yaml"))
 
     def folder(self, cache: Path, file: str) -> Path:
-        content = [VERSION, self.config, self.scenes, self.seed, self.site, file, self.row.meaning]
+        scenes = self.scenes if self.row.rewarded else [self.scenes.kinds, self.scenes.steps, self.scenes.scale]
+        content = [VERSION, self.config, scenes, self.seed, self.site, file, self.row.meaning]
         content += [table2_lanes.FOLDS, table2_lanes.TUNING] if self.scenes.lanes else []
         key = hashlib.sha256(msgspec.json.encode(content)).hexdigest()[:10]
         name = f"{self.scenario}{self.row.suffix or ('_idm' if self.row is IDM else '')}-s{self.seed}"

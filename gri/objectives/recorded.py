@@ -6,7 +6,7 @@ graphs, is expanded anew at every update. Graph and policy are then learned as f
 
 import msgspec
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from gri.data.synthetic import Scenes
@@ -84,22 +84,39 @@ def fit_references(
 def recorded_prior(
     reward: StructuredReward, state: Float[Tensor, "B N T D"], grounded: GroundedSettings
 ) -> Float[Tensor, "B E K"]:
-    """p(z_ij): the sparse prior, and where there are lanes the definition of the types (Sec. VI-D).
+    """p(z_ij): the sparse prior, and the paper's definition of the types (Sec. VI-D).
 
-    A vehicle follows one that is in its lane at the first step, and yields to one that is in the lane beside it. How
-    vehicles move along the road does not tell the two apart. `ahead_only` holds for both: i ends up ahead of j.
+    A vehicle follows its preceding vehicle in the same lane and yields to the one in the lane beside it: the nearest
+    there that ends up ahead (`ahead_only`). Lanes are those of the first step. Which of these edges are there is not
+    said; how vehicles move along the road would hardly tell what kind they are.
     """
     prior = scene_prior(reward, state, grounded.no_edge_prior, grounded.ahead_only)
-    if EdgeType.YIELD not in reward.vocabulary:
-        return prior
-    senders, receivers = edge_ends(state.shape[1])
-    beside = (state[:, senders, 0, 1] - state[:, receivers, 0, 1]).abs() > BESIDE
-    behind = state[:, senders, -1, 0] < state[:, receivers, -1, 0]
     excluded = torch.zeros_like(prior, dtype=torch.bool)
-    excluded[..., reward.vocabulary.index(EdgeType.FOLLOW)] = beside
-    excluded[..., reward.vocabulary.index(EdgeType.YIELD)] = ~beside | (behind & grounded.ahead_only)
+    senders, receivers = edge_ends(state.shape[1])
+    lane = same_lane(reward, state)
+    if grounded.ahead_only:
+        excluded[..., 1:] |= ~preceding(state[:, :, -1, 0], lane)[:, senders, receivers, None]
+    if EdgeType.YIELD in reward.vocabulary:
+        together = lane[:, senders, receivers]
+        excluded[..., reward.vocabulary.index(EdgeType.FOLLOW)] |= ~together
+        excluded[..., reward.vocabulary.index(EdgeType.YIELD)] |= together
     prior = prior.masked_fill(excluded, 1e-12)
     return prior / prior.sum(-1, keepdim=True)
+
+
+def same_lane(reward: StructuredReward, state: Float[Tensor, "B N T D"]) -> Bool[Tensor, "B N N"]:
+    """Which vehicles share a lane at the first step; all where there is one lane."""
+    if EdgeType.YIELD not in reward.vocabulary:
+        return torch.ones(len(state), state.shape[1], state.shape[1], dtype=torch.bool)
+    y = state[:, :, 0, 1]
+    return (y[:, :, None] - y[:, None]).abs() <= BESIDE
+
+
+def preceding(x: Float[Tensor, "B N"], lane: Bool[Tensor, "B N N"]) -> Bool[Tensor, "B N N"]:
+    """[i, j]: i is ahead of j, and nobody of i's lane is between them."""
+    ahead = x[:, :, None] > x[:, None]
+    between = torch.einsum("bik,bkj,bki->bij", *(m.float() for m in (ahead, ahead, lane))) > 0
+    return ahead & ~between
 
 
 BESIDE = 1.5

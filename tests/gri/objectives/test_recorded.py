@@ -8,10 +8,11 @@ from gri.dynamics import POINT_MASS_1D
 from gri.encoder import EncoderConfig
 from gri.graph import EdgeType, InteractionGraph, pairs
 from gri.model import RelationalModel
+from gri.naturalistic import References
 from gri.objectives import recorded
 from gri.objectives.gri import GroundedSettings
 from gri.objectives.recorded import RecordedSettings, fit_references, train_recorded
-from gri.rewards import StructuredReward
+from gri.rewards import NaturalisticConfig, StructuredReward
 from gri.riccati import expand_steps, log_likelihood_by_steps
 
 SMALL = RecordedSettings(
@@ -41,7 +42,9 @@ def model() -> RelationalModel:
 
 
 def test_references_learn_from_the_likelihood():
-    reward, data = StructuredReward(NGSIM_CAR_FOLLOWING.reward), scenes()
+    # With headways that differ from what is wanted: where they are equal, ∇√f is read with another precision.
+    config = NaturalisticConfig(references=References(speed=12.0, time_headway=0.8))
+    reward, data = StructuredReward(config), scenes()
     expansion = expand_steps(model(), reward, data.state, data.action, learn=True)
     value = log_likelihood_by_steps(reward, expansion)
     fixed = log_likelihood_by_steps(reward, expand_steps(model(), reward, data.state, data.action))
@@ -106,7 +109,10 @@ def test_lanes_define_who_follows_and_who_yields():
     assert float(prior[pairs(3).index((2, 0)), 0]) == pytest.approx(0.8 / 0.9)
 
 
-def test_car_following_has_the_sparse_prior():
-    reward, grounded = StructuredReward(NGSIM_CAR_FOLLOWING.reward), GroundedSettings()
-    prior = recorded.recorded_prior(reward, scenes(2).state, grounded)
+def test_in_car_following_only_the_next_vehicle_ahead_is_followed():
+    reward, data = StructuredReward(NGSIM_CAR_FOLLOWING.reward), scenes(2)
+    prior = recorded.recorded_prior(reward, data.state, GroundedSettings())
     torch.testing.assert_close(prior, torch.tensor([0.9, 0.1]).expand(2, 6, 2))
+    nearest = recorded.recorded_prior(reward, data.state, GroundedSettings(ahead_only=True))
+    follows = [0.1 if pair in ((1, 0), (2, 1)) else 0.0 for pair in pairs(3)]  # of three in a row, not 2 -> 0
+    torch.testing.assert_close(nearest[..., 1], torch.tensor(follows).expand(2, 6), atol=1e-6, rtol=0)
