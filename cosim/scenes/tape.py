@@ -36,6 +36,17 @@ class Numbers(dict[str, int]):
         return number
 
 
+class Restless(dict[tuple[str, int], bool]):
+    """Whether a vehicle must leave a lane; asked once for both."""
+
+    def __init__(self, world: Sumo) -> None:
+        self._world = world
+
+    def __missing__(self, at: tuple[str, int]) -> bool:
+        self[at] = found = self._world.must_leave(at[0])
+        return found
+
+
 @dataclass(frozen=True)
 class Moment:
     """All vehicles at one step of the scenes; what shows a simulation step later is filled in then."""
@@ -80,7 +91,7 @@ class Stretch:
         strips = {name: world.strip(name, road) for name in world.lanes_of(edges)}
         self.names = [name for name, strip in strips.items() if strip.end > 0 and strip.begin < reach]
         self.lanes = [_lane(world, name, road) for name in self.names]
-        self.begins = [strips[name].begin for name in self.names]
+        self.begins = np.array([strips[name].begin for name in self.names])
         self.centres = [lane.centre for lane in self.lanes]
         self.road = road
 
@@ -104,7 +115,7 @@ class Tape:
         self.moments: deque[Moment] = deque(maxlen=length)
         self._lane_of: dict[str, int] = {}
         self._tries: deque[tuple[Moment, dict[str, Branch[list[float]]]]] = deque()
-        self._restless: dict[tuple[int, int], bool] = {}  # by number and lane
+        self._restless = Restless(world)
         self.count = 0
         """Moments so far."""
 
@@ -122,8 +133,6 @@ class Tape:
                 v = dict(zip(driving.ids, driving.v, strict=True))
                 first.values[:, COLUMN["v_next"]] = [v.get(vehicle, np.nan) for vehicle in first.ids]
             changes += self._changes(driving)
-            for vehicle in report.arrived:
-                self._lane_of.pop(vehicle, None)
         moment = self._moment(report.time, driving, changes)
         for change in changes:
             self._mark(moment, before, driving, change)
@@ -148,15 +157,16 @@ class Tape:
 
     def _changes(self, driving: Driving) -> list[Change]:
         """Lane changes on the same edge since the last reading."""
-        lanes, lane_of, changes = self.stretch.lanes, self._lane_of, []
-        for vehicle, lane in zip(driving.ids, driving.lane, strict=True):
-            before = lane_of.get(vehicle, lane)
-            if before != lane and lanes[before].edge == lanes[lane].edge:
-                state = self.world.lane_change_state(vehicle, lanes[lane].centre > lanes[before].centre)
+        lanes, before, changes = self.stretch.lanes, self._lane_of, []
+        now = dict(zip(driving.ids, driving.lane, strict=True))
+        for vehicle in [vehicle for vehicle, lane in now.items() if before.get(vehicle, lane) != lane]:
+            source, target = before[vehicle], now[vehicle]
+            if lanes[source].edge == lanes[target].edge:
+                state = self.world.lane_change_state(vehicle, lanes[target].centre > lanes[source].centre)
                 behind = now_behind(driving, vehicle, self.stretch.centres)
                 name = "" if behind is None else driving.ids[behind]
-                changes.append(Change(vehicle, before, lane, state, name))
-            lane_of[vehicle] = lane
+                changes.append(Change(vehicle, source, target, state, name))
+        self._lane_of = now
         return changes
 
     def _moment(self, time: float, driving: Driving, changes: list[Change]) -> Moment:
@@ -171,22 +181,18 @@ class Tape:
         values[:, COLUMN["limit"]] = np.array(self.world.limits(self.stretch.names))[driving.lane]
         values[:, [COLUMN["asker"], COLUMN["cut"]]] = NOBODY
         values[:, COLUMN["room"]] = np.inf
-        for row, asker in askers(self.world, driving, self._concerned(driving, number)).items():
+        for row, asker in askers(self.world, driving, self._concerned(driving)).items():
             values[row, COLUMN["asker"]] = numbers[asker]
         row_of = dict(zip(number, range(count), strict=True))
         return Moment(self.count, time, driving.ids, driving.leader, row_of, values, changes)
 
-    def _concerned(self, driving: Driving, number: list[int]) -> list[int]:
+    def _concerned(self, driving: Driving) -> list[int]:
         """Rows of who must change lanes, and of whoever is near them: nobody else asks for room."""
-        found = []
-        for row, key in enumerate(zip(number, driving.lane, strict=True)):
-            if key not in self._restless:
-                self._restless[key] = self.world.must_leave(driving.ids[row])
-            if self._restless[key]:
-                found.append(row)
+        restless = self._restless
+        found = [row for row, at in enumerate(zip(driving.ids, driving.lane, strict=True)) if restless[at]]
         if not found:
             return []
-        s = np.array(self.stretch.begins)[driving.lane] + driving.position
+        s = self.stretch.begins[driving.lane] + driving.position
         return np.flatnonzero((np.abs(s - s[found, None]) < NEAR).any(0)).tolist()
 
     def _mark(self, moment: Moment, before: Moment | None, driving: Driving, change: Change) -> None:
