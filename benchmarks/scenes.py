@@ -1,20 +1,24 @@
 """Cutting labelled scenes out of traffic ÷ bare SUMO stepping of the same traffic, side by side in one run.
 
-    python benchmarks/scenes.py [SCENARIO] [--rounds 5] [--steps 600]
+    python benchmarks/scenes.py [SCENARIO] [--rounds 3] [--steps 1500]
 
-Both sides are branches of one warmed-up simulation and start from the same state. A round steps the traffic bare, then
-with everything `cosim scenes` does with rule labels: reading, asking, searching, cutting, labelling, writing. CPU time.
+Both sides simulate the same seed, each in a process of its own, one after the other. One steps the traffic bare, one
+does everything `cosim scenes` does with rule labels: reading, asking, searching, cutting, labelling, writing. CPU time
+after the warm-up.
 """
 
 import argparse
 import statistics
 import tempfile
 import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import get_context
 from pathlib import Path
 
 import pandas  # noqa: F401  pyarrow brings it with the first table, once per process
 
-from cosim.branch import fork
 from cosim.inputs import find_net
 from cosim.loading import load_scenario
 from cosim.scenes.rules import DT, KINDS, Rules
@@ -23,52 +27,64 @@ from cosim.sumo import Sumo
 from gri.data.scenes_file import Header, writing
 
 
-def bare(world: Sumo, steps: int) -> float:
-    began = time.process_time()
-    for _ in range(steps):
-        world.step()
-    return (time.process_time() - began) / steps
-
-
-def filming(world: Sumo, spec: Spec, steps: int, folder: Path) -> tuple[float, int]:
-    began = time.process_time()
-    reel = Reel(world, spec)
-    with writing(folder / "scenes.parquet", Header(dt=DT)) as write:
+def bare(name: str, steps: int) -> tuple[float, int]:
+    """CPU time per step [s] after the warm-up; no scenes."""
+    with warmed(name, steps) as (world, _, _):
+        began = time.process_time()
         for _ in range(steps):
-            for block in reel.next(reel.tape.advance()):
+            world.step()
+        return (time.process_time() - began) / steps, 0
+
+
+def filming(name: str, steps: int) -> tuple[float, int]:
+    """CPU time per step [s] after the warm-up, and how many scenes that brought."""
+    with warmed(name, steps) as (world, spec, folder):
+        began = time.process_time()
+        reel = Reel(world, spec)
+        with writing(folder / "scenes.parquet", Header(dt=DT)) as write:
+            for _ in range(steps):
+                for block in reel.next(reel.tape.advance()):
+                    write(block)
+            for block in reel.developed():
                 write(block)
-        for block in reel.developed():
-            write(block)
-    found = sum(tally.scenes for tally in reel.sieve.tallies.values())
-    return (time.process_time() - began) / steps, found
+        found = sum(tally.scenes for tally in reel.sieve.tallies.values())
+        return (time.process_time() - began) / steps, found
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("scenario", nargs="?", default="us101_merge")
-    parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--steps", type=int, default=600)
-    options = parser.parse_args()
-    scenario = load_scenario(options.scenario)
-    spec = Spec(
-        scenario=scenario, source="", split="train", kinds=KINDS, count=10**6, gold=False, rules=Rules()
-    )  # fmt: skip
-    end = scenario.traffic.warm_up + options.rounds * options.steps * scenario.step
+@contextmanager
+def warmed(name: str, steps: int) -> Iterator[tuple[Sumo, Spec, Path]]:
+    """The scenario's traffic after its warm-up."""
+    scenario = load_scenario(name)
+    spec = Spec(scenario=scenario, source="", split="train", kinds=KINDS, count=10**6, gold=False, rules=Rules())
+    end = scenario.traffic.warm_up + steps * scenario.step
     with (
         tempfile.TemporaryDirectory() as scratch,
         running(scenario, find_net(scenario.net), Path(scratch), end) as world,
     ):
         for _ in range(scenario.steps(scenario.traffic.warm_up)):
             world.step()
-        ratios = []
-        for _ in range(options.rounds):
-            alone = fork(lambda: bare(world, options.steps)).result()
-            together, found = fork(lambda: filming(world, spec, options.steps, Path(scratch))).result()
-            ratios.append(together / alone)
-            print(f"bare {1e3 * alone:.2f} ms, filming {1e3 * together:.2f} ms, ratio {ratios[-1]:.2f}, {found} scenes")
-            for _ in range(options.steps):
-                world.step()
+        yield world, spec, Path(scratch)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("scenario", nargs="?", default="us101_merge")
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--steps", type=int, default=1500)
+    options = parser.parse_args()
+    ratios = []
+    for _ in range(options.rounds):
+        alone, together = (_apart(side, options.scenario, options.steps) for side in (bare, filming))
+        ratios.append(together[0] / alone[0])
+        milliseconds = [f"{1e3 * side[0]:.2f} ms" for side in (alone, together)]
+        print(f"bare {milliseconds[0]}, filming {milliseconds[1]}, ratio {ratios[-1]:.2f}, {together[1]} scenes")
     print(f"median ratio {statistics.median(ratios):.2f} over {len(ratios)} rounds")
+
+
+def _apart(side: Callable[[str, int], tuple[float, int]], name: str, steps: int) -> tuple[float, int]:
+    """One side in a process of its own."""
+    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        return pool.submit(side, name, steps).result()
 
 
 if __name__ == "__main__":

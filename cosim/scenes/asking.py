@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from jaxtyping import Float
 
 from cosim.snapshot import Driving, LaneChange
 from cosim.sumo import Sumo
@@ -20,6 +21,7 @@ SIDES = tuple(
         (LaneChange.RIGHT, LaneChange.BLOCKED_BY_RIGHT_FOLLOWER, LaneChange.BLOCKED_BY_RIGHT_LEADER),
     )
 )
+NEAR = 40.0  # [m] from who urgently wants to change lanes; who helps it may have to ask others
 SAME_LANE = 1.0  # [m] of lateral distance between lanes that continue each other
 
 
@@ -35,14 +37,28 @@ class Change:
     """Who drives behind it in the new lane; "": nobody near."""
 
 
-def askers(world: Sumo, driving: Driving, concerned: Iterable[int]) -> dict[int, str]:
-    """By whom each row is asked; of several by the nearest. Asking are some of the rows concerned."""
+def askers(world: Sumo, driving: Driving, restless: Sequence[int], s: Float[np.ndarray, " V"]) -> dict[int, str]:
+    """By whom each row is asked; of several by the nearest.
+
+    Who asks is restless, that is, must leave its lane, or is near one who urgently wants to, and helps; `s` [m] says
+    where everybody is.
+    """
+
+    def states_of(rows: Iterable[int]) -> dict[int, tuple[int, int]]:
+        ids = driving.ids
+        return {
+            row: (world.lane_change_state(ids[row], True), world.lane_change_state(ids[row], False)) for row in rows
+        }
+
+    states = states_of(restless)
+    urgent = _urgent(states)
+    if not urgent:
+        return {}
+    near = np.flatnonzero((np.abs(s - s[urgent, None]) < NEAR).any(0)).tolist()
+    states |= states_of(set(near) - set(states))
+    urgent = _urgent(states)
     found: dict[int, tuple[float, str]] = {}
-    states = {
-        row: tuple(world.lane_change_state(driving.ids[row], left) for left in (True, False)) for row in concerned
-    }
-    urgent = [row for row, (left, right) in states.items() if (left | right) & URGENT]
-    rows = {vehicle: row for row, vehicle in enumerate(driving.ids)} if urgent else {}
+    rows = {vehicle: row for row, vehicle in enumerate(driving.ids)}
     for row in urgent:
         for other, distance in _asked(world, driving, row, states[row], rows):
             if other in rows and distance < found.get(rows[other], (np.inf, ""))[0]:
@@ -50,8 +66,12 @@ def askers(world: Sumo, driving: Driving, concerned: Iterable[int]) -> dict[int,
     return {row: asker for row, (_, asker) in found.items()}
 
 
+def _urgent(states: dict[int, tuple[int, int]]) -> list[int]:
+    return sorted(row for row, (left, right) in states.items() if (left | right) & URGENT)
+
+
 def _asked(
-    world: Sumo, driving: Driving, row: int, states: tuple[int, ...], rows: dict[str, int]
+    world: Sumo, driving: Driving, row: int, states: tuple[int, int], rows: dict[str, int]
 ) -> Iterator[tuple[str, float]]:
     """Whom a vehicle asks, and how far away they are [m]."""
     vehicle = driving.ids[row]

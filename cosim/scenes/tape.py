@@ -19,7 +19,6 @@ COLUMNS = ("lane", "position", "v", "leader", "gap", "limit", "asker", "gave_way
            "unasked")  # fmt: skip
 COLUMN = {name: k for k, name in enumerate(COLUMNS)}
 MILLION = 1_000_000
-NEAR = 40.0  # [m] from who must change lanes; who helps it may have to ask others
 AHEAD = 8  # moments that the simulation may be ahead of the copies that try interventions
 
 
@@ -181,19 +180,12 @@ class Tape:
         values[:, COLUMN["limit"]] = np.array(self.world.limits(self.stretch.names))[driving.lane]
         values[:, [COLUMN["asker"], COLUMN["cut"]]] = NOBODY
         values[:, COLUMN["room"]] = np.inf
-        for row, asker in askers(self.world, driving, self._concerned(driving)).items():
+        restless = [row for row, at in enumerate(zip(driving.ids, driving.lane, strict=True)) if self._restless[at]]
+        s = self.stretch.begins[driving.lane] + driving.position
+        for row, asker in askers(self.world, driving, restless, s).items():
             values[row, COLUMN["asker"]] = numbers[asker]
         row_of = dict(zip(number, range(count), strict=True))
         return Moment(self.count, time, driving.ids, driving.leader, row_of, values, changes)
-
-    def _concerned(self, driving: Driving) -> list[int]:
-        """Rows of who must change lanes, and of whoever is near them: nobody else asks for room."""
-        restless = self._restless
-        found = [row for row, at in enumerate(zip(driving.ids, driving.lane, strict=True)) if restless[at]]
-        if not found:
-            return []
-        s = self.stretch.begins[driving.lane] + driving.position
-        return np.flatnonzero((np.abs(s - s[found, None]) < NEAR).any(0)).tolist()
 
     def _mark(self, moment: Moment, before: Moment | None, driving: Driving, change: Change) -> None:
         """What a lane change did to who drives behind it now, and whether it was made for somebody."""

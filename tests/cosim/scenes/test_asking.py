@@ -2,6 +2,8 @@
 
 import math
 
+import numpy as np
+
 from cosim.scenes.asking import askers, now_behind
 from cosim.snapshot import Driving, LaneChange
 from cosim.sumo import Sumo
@@ -37,7 +39,7 @@ def driving(v: dict[str, float] | None = None, leader: dict[str, str] | None = N
 
 
 def asked(world: World, traffic: Driving | None = None) -> dict[int, str]:
-    return askers(world, traffic or driving(), range(4))
+    return askers(world, traffic or driving(), [0, 1], np.zeros(4))
 
 
 def test_who_urgently_wants_in_asks_who_blocks_it_from_behind():
@@ -46,13 +48,20 @@ def test_who_urgently_wants_in_asks_who_blocks_it_from_behind():
     assert asked(World(near, m=WISH)) == {}
     assert asked(World(near, m=(WISH | FOLLOWER) & ~int(LaneChange.URGENT))) == {}
     assert asked(World(near, m=FOLLOWER)) == {}
-    assert askers(World(near, m=WISH | FOLLOWER), driving(), [1, 2, 3]) == {}
+    assert askers(World(near, m=WISH | FOLLOWER), driving(), [1], np.zeros(4)) == {}
 
 
 def test_a_slower_one_ahead_is_asked_to_be_overtaken():
     world = World({("m", True): ("l", 5.0)}, m=WISH | LEADER)
     assert asked(world, driving({"l": 8.0})) == {3: "m"}
     assert asked(world, driving({"l": 12.0})) == {}
+
+
+def test_who_helps_somebody_near_may_ask_too():
+    near = {("m", False): ("f", 5.0), ("n", False): ("l", 3.0)}
+    world = World(near, m=WISH | FOLLOWER, n=WISH | FOLLOWER)
+    assert askers(world, driving(), [0], np.zeros(4)) == {2: "m", 3: "n"}
+    assert askers(world, driving(), [0], np.array([0.0, 50.0, 0.0, 0.0])) == {2: "m"}
 
 
 def test_of_two_who_ask_the_nearer_counts():
