@@ -77,7 +77,8 @@ def evaluate_command(
     path: Annotated[Path, typer.Argument(metavar="CHECKPOINT", help="A checkpoint file, or a released one's name.")],
     scenes: ScenesOption = SCENES,
     scene_file: Annotated[
-        Path | None, typer.Option(help="Score it on this scene file instead, e.g. one of `gri ngsim scenes`.")
+        Path | None,
+        typer.Option(help="Score it on this scene file instead, of `gri ngsim scenes` or `cosim scenes`."),
     ] = None,
     split: Annotated[str | None, typer.Option(help="Of the scene file; default: all its scenes.")] = None,
 ) -> None:
@@ -90,10 +91,13 @@ def evaluate_command(
     found = None
     if scene_file is None:
         test = _scenes(config, scenes).test
-    elif config.data.recorded is not None:
-        test, found = recorded_scenes(scene_file, config.data.recorded, split)
+    elif config.data.tested_on is not None:
+        test, found = recorded_scenes(scene_file, config.data.tested_on, split)
     else:
-        raise InputError(f"{path}: was trained on synthetic scenes; a scene file is for models of recorded traffic")
+        raise InputError(
+            f"{path}: was trained on scenes of range {config.data.range}, which no scene file has; give one of recorded"
+            " traffic, of SUMO's, or of scenes like SUMO's (us101, highway_merge)"
+        )
     console.print(_table(path.stem, evaluate(model, test), len(test)))
     if found is not None and found.hypothesis is not None and found.unambiguous is not None:
         compared = beside_truth(believed(model, test).map, test.graph, found.hypothesis, found.unambiguous)

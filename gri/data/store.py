@@ -17,7 +17,7 @@ from gri.data.lane_changing import LANE_CHANGING_SCENES
 from gri.data.optimal import make_highway_scenes
 from gri.data.ranges import RANGES, GraphShare
 from gri.data.recorded import recorded_scenes
-from gri.data.recorded_ranges import RECORDED, RecordedRange
+from gri.data.recorded_ranges import RECORDED, SUMO_CAR_FOLLOWING, SUMO_MERGE, RecordedRange
 from gri.data.synthetic import Range, Scenes, make_scenes, train_expert
 from gri.errors import InputError
 from gri.progress import Progress, silent
@@ -48,6 +48,11 @@ class DataConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     def recorded(self) -> RecordedRange | None:
         """What recorded scenes have in common; None for synthetic ones."""
         return RECORDED.get(self.range)
+
+    @property
+    def tested_on(self) -> RecordedRange | None:
+        """As what a model of these scenes reads a scene file; None where none fits."""
+        return self.recorded or {"us101": SUMO_CAR_FOLLOWING, "highway_merge": SUMO_MERGE}.get(self.range)
 
     @property
     def scene_range(self) -> Range:
