@@ -148,7 +148,8 @@ def _success(results: Results) -> Figure:
             means, widths = [m for m, _ in found], [pooled(m, n).half_width for m, n in found]
             colour = COLOURS.get(row.name, "#CC79A7" if row.name.startswith("GRI") else "0.45")
             axis.plot(RATIOS, means, marker="o", markersize=3, label=row.name, color=colour)
-            axis.fill_between(RATIOS, np.subtract(means, widths), np.add(means, widths), color=colour, alpha=0.15, lw=0)
+            low, high = np.clip([np.subtract(means, widths), np.add(means, widths)], 0, 1)
+            axis.fill_between(RATIOS, low, high, color=colour, alpha=0.15, lw=0)
         axis.set_xlabel("δ: share by which the starting headway is shrunk")
         axis.set_ylabel(label)
         axis.set_ylim(-0.05, 1.05)
