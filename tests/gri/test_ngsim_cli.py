@@ -48,7 +48,7 @@ def test_from_an_official_file_to_a_scored_model(here: Path):
 def test_the_released_model_is_scored_on_any_file_of_the_official_layout(here: Path):
     run("ngsim", "scenes", "trajectories-0750am-0805am.txt", "--out", "held-out.parquet")
     scored = run("evaluate", "ngsim_car_following", "--scene-file", "held-out.parquet")
-    assert "3 test scenes" in scored
+    assert "5 test scenes" in scored
     assert "accuracy, 6 edges" in scored
 
 
