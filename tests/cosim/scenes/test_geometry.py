@@ -49,6 +49,14 @@ def test_a_lane_change_begins_where_sumo_makes_it_and_takes_three_seconds():
     assert (np.diff(features(s, d, v, 0.2, 0.0)["y"][0, 0]) != 0).sum() <= 3
 
 
+def test_a_lane_change_after_the_last_step_does_not_show():
+    s, v = driven()
+    d = np.where(np.arange(41) < 40, -3.5, 0.0)[None, None]
+    found = features(s, d, v, 0.2, 3.0)
+    assert np.abs(found["y"] + 3.5).max() == 0
+    assert np.abs(found["ay"]).max() == 0
+
+
 def test_positions_along_a_lane_become_points_of_its_centre():
     lane = Lane("road", np.array([[0.0, 0.0], [30.0, 40.0], [30.0, 90.0]]), 200.0, 0.0)  # the shape is 100 m long
     np.testing.assert_allclose(lane.points(np.array([0.0, 100.0, 150.0])), [[0, 0], [30, 40], [30, 65]])
