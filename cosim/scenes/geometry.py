@@ -36,9 +36,8 @@ def features(
     acceleration from there on, as in the paper's dynamics. Lane changes take `sideways` [s] from where SUMO makes them.
     """
     x, a = s - v * step / 2, np.diff(v) / DT
-    y = _sideways(
-        np.concatenate([d[..., :-1], d[..., -2:-1]], -1), round(sideways / DT)
-    )  # what comes after is not seen
+    seen = np.concatenate([d[..., :-1], d[..., -2:-1]], -1)  # a change after the last step does not show
+    y = _sideways(seen, round(sideways / DT))
     vy = np.gradient(y, DT, axis=-1)
     y, ay = integrated(vy, y, DT)
     heading = np.where(v > 0.5, np.arctan2(vy, np.maximum(v, 0.5)), 0.0)
