@@ -91,17 +91,21 @@ def recorded_prior(
     said; how vehicles move along the road would hardly tell what kind they are.
     """
     prior = scene_prior(reward, state, grounded.no_edge_prior, grounded.ahead_only)
-    excluded = torch.zeros_like(prior, dtype=torch.bool)
     senders, receivers = edge_ends(state.shape[1])
     lane = same_lane(reward, state)
     if grounded.ahead_only:
-        excluded[..., 1:] |= ~preceding(state[:, :, -1, 0], lane)[:, senders, receivers, None]
+        next_ahead = preceding(state[:, :, -1, 0], lane)[:, senders, receivers]
+        prior[..., 1:] = prior[..., 1:].masked_fill(~next_ahead[..., None], 1e-12)
     if EdgeType.YIELD in reward.vocabulary:
         together = lane[:, senders, receivers]
-        excluded[..., reward.vocabulary.index(EdgeType.FOLLOW)] |= ~together
-        excluded[..., reward.vocabulary.index(EdgeType.YIELD)] |= together
-    prior = prior.masked_fill(excluded, 1e-12)
+        for kind, excluded in ((EdgeType.FOLLOW, ~together), (EdgeType.YIELD, together)):
+            k = reward.vocabulary.index(kind)
+            prior[..., k] = prior[..., k].masked_fill(excluded, IMPOSSIBLE)
     return prior / prior.sum(-1, keepdim=True)
+
+
+IMPOSSIBLE = 1e-37
+"""Probability of what a type excludes by definition: no likelihood makes up for it, and its logarithm is finite."""
 
 
 def same_lane(reward: StructuredReward, state: Float[Tensor, "B N T D"]) -> Bool[Tensor, "B N N"]:
