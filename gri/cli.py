@@ -99,7 +99,8 @@ def evaluate_command(
             " traffic, of SUMO's, or of scenes like SUMO's (us101, highway_merge)"
         )
     console.print(_table(path.stem, evaluate(model, test), len(test)))
-    if found is not None and found.hypothesis is not None and found.unambiguous is not None:
+    infers = model.encoder is not None
+    if infers and found is not None and found.hypothesis is not None and found.unambiguous is not None:
         compared = beside_truth(believed(model, test).map, test.graph, found.hypothesis, found.unambiguous)
         for table in truth_tables(compared, model.config.vocabulary):
             console.print(table)

@@ -62,5 +62,5 @@ def scenes(
     for table in tables(report):
         console.print(table)
     say(report["cost"]["text"])
-    config = "sumo_car_following" if "car_following" in order.kinds else "sumo_merge_supervised"
+    config = "sumo_car_following" if "car_following" in order.kinds else "sumo_merge"
     next_command(f"gri train {config} --scene-file {made.path}")
