@@ -115,11 +115,14 @@ def tables(results: Results, out: Path) -> list[Path]:
 
 
 def figures(results: Results, out: Path) -> list[Path]:
-    """F6 by reading, and F11."""
+    """F6 by reading, where a row infers graphs, and F11."""
+    drawn = {"f6_edge_frequencies_ngsim_lanes": _frequencies, "f11_success_ngsim_lanes": _success}
+    if not any(result["graphs"] for _, result in results):
+        del drawn["f6_edge_frequencies_ngsim_lanes"]
     with plt.rc_context(STYLE):
-        save(_frequencies(results), out, "f6_edge_frequencies_ngsim_lanes")
-        save(_success(results), out, "f11_success_ngsim_lanes")
-    return [out / f"{name}.png" for name in ("f6_edge_frequencies_ngsim_lanes", "f11_success_ngsim_lanes")]
+        for name, draw in drawn.items():
+            save(draw(results), out, name)
+    return [out / f"{name}.png" for name in drawn]
 
 
 def _frequencies(results: Results) -> Figure:

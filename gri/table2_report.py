@@ -219,10 +219,13 @@ def _tables(results: Results, out: Path) -> list[Path]:
 
 def _figures(results: Results, out: Path) -> list[Path]:
     whole = [(job, result) for job, result in results if job.site is None]
+    drawn = {"f6_edge_frequencies_ngsim": _frequencies, "f10_success_ngsim": _success}
+    if not any(result["graphs"] for _, result in whole):  # no row infers graphs
+        del drawn["f6_edge_frequencies_ngsim"]
     with plt.rc_context(STYLE):
-        save(_frequencies(whole), out, "f6_edge_frequencies_ngsim")
-        save(_success(whole), out, "f10_success_ngsim")
-    return [out / f"{name}.png" for name in ("f6_edge_frequencies_ngsim", "f10_success_ngsim")]
+        for name, draw in drawn.items():
+            save(draw(whole), out, name)
+    return [out / f"{name}.png" for name in drawn]
 
 
 def _frequencies(results: Results) -> Figure:

@@ -115,6 +115,8 @@ def test_every_window_is_tested_once_by_a_model_that_never_saw_its_vehicles(
         assert not any(torch.equal(a, b) for a in mine.state for b in others.state)
     assert sum(point["scenes"] for point in result["ood"][:1]) == len(real)
     assert len(result["before"]["errors"]["rmse_x"]) == len(real)
+    written = publish(Order(LC, lane_file, 1, tmp_path / "out", tmp_path, finished=True))
+    assert not [path for path in written if "frequencies" in path.name]  # nobody inferred graphs
 
 
 @pytest.mark.slow
