@@ -229,7 +229,9 @@ def read_header(file: pq.ParquetFile, path: Path) -> Header:
     """What an opened file says of itself."""
     text = (file.schema_arrow.metadata or {}).get(KEY)
     if text is None:
-        raise InputError(f"{path}: a Parquet file, but not a scene file; give one of `gri ngsim scenes` or `cosim scenes`")
+        raise InputError(
+            f"{path}: a Parquet file, but not a scene file; give one of `gri ngsim scenes` or `cosim scenes`"
+        )
     header = msgspec.json.decode(text, type=Header)
     if (header.format, header.version) != (FORMAT, VERSION):
         raise InputError(f"{path}: got {header.format} {header.version}, this release reads {FORMAT} {VERSION}")
