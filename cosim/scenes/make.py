@@ -81,29 +81,28 @@ class Order(msgspec.Struct, frozen=True, kw_only=True):
 
 @dataclass(frozen=True)
 class Made:
-    """The file, the seeds it is made of, and the greatest memory of a worker [MB] in this run."""
+    """The file, the seeds it is made of, and how many scenes this run had to make."""
 
     path: Path
     brought: tuple[Brought, ...]
-    peak_mb: float
+    fresh: int
 
 
 def make(order: Order, folder: Path, workers: int, tell: Tell) -> Made:
     """Film seeds until there are enough scenes of every kind, and join them; what is there already is kept."""
     shelf = Shelf(order, folder)
-    peak = 0.0
-    tell(min(shelf.scenes(), order.total), order.total)
+    before = shelf.scenes()
+    tell(before, order.total)
     while (enough := shelf.enough()) is None:
         queue: deque[Task] = deque()
         _refill(queue, shelf, workers)
         with closing(run_local(queue, LONGEST, workers=workers, perform=WORKER)) as answers:
             for answer in answers:
-                peak = max(peak, answer.peak_mb)
                 shelf.keep(answer)
-                tell(min(shelf.scenes(), order.total), order.total)
+                tell(shelf.scenes(), order.total)
                 if shelf.enough() is None:
                     _refill(queue, shelf, 1)
-    return Made(shelf.join(enough), tuple(shelf.brought[k] for k in range(enough)), peak)
+    return Made(shelf.join(enough), tuple(shelf.brought[k] for k in range(enough)), shelf.scenes() - before)
 
 
 def _refill(queue: deque[Task], shelf: "Shelf", count: int) -> None:

@@ -25,14 +25,16 @@ def report_of(order: Order, made: Made, seconds: float, folder: Path) -> dict[st
         "scenes_per_core_second": round(order.total / cpu, 2),
         "cpu_seconds_per_scene": round(cpu / order.total, 3),
         "simulated_seconds": round(sum(brought.figures.simulated for brought in made.brought), 1),
-        "peak_mb": round(made.peak_mb, 1),
+        "peak_mb": round(max(brought.peak_mb for brought in made.brought), 1),
+        "fresh": made.fresh,
         "file_mb": round(size, 2),
         "seeds": len(made.brought),
     }
     cost["text"] = (
-        f"{order.total} scenes of {cost['seeds']} seeds in {seconds:.0f} s: {order.total / seconds:.1f} per second,"
-        f" {order.total / cpu:.1f} per second of a core ({cpu / order.total:.3f} s each);"
-        f" peak memory of a worker {made.peak_mb:.0f} MB. {made.path}: {size:.1f} MB"
+        f"{order.total} scenes of {cost['seeds']} seeds, {made.fresh} of them made in these {seconds:.0f} s"
+        f" ({made.fresh / seconds:.1f} per second); {order.total / cpu:.1f} per second of a core"
+        f" ({cpu / order.total:.3f} s each); peak memory of a worker {cost['peak_mb']:.0f} MB."
+        f" {made.path}: {size:.1f} MB"
     )
     kinds = {kind: _kind(totals(made.brought, kind)) for kind in order.kinds}
     report = {"kinds": kinds, "gold": order.gold, "cost": cost}

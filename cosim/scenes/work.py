@@ -29,6 +29,8 @@ class Brought(msgspec.Struct, frozen=True, kw_only=True):
     figures: Figures
     cpu_seconds: float
     """Of the whole process and its copies, start-up of the worker not included."""
+    peak_mb: float
+    """Resident memory of the process."""
 
 
 def perform(task: Task) -> Answer:
@@ -42,7 +44,7 @@ def perform(task: Task) -> Answer:
             writing(task.folder / SCENES, Header(dt=DT)) as write,
         ):
             figures = film(spec, find_net(spec.scenario.net), Path(scratch), write)
-        brought = Brought(key=task.key, figures=figures, cpu_seconds=round(sum(os.times()[:4]), 3))
+        brought = Brought(key=task.key, figures=figures, cpu_seconds=round(sum(os.times()[:4]), 3), peak_mb=_peak_mb())
         (task.folder / FIGURES).write_bytes(msgspec.json.encode(brought))
     except InputError as error:
         return Answer(task.run, task.folder, "input", str(error))
@@ -51,7 +53,7 @@ def perform(task: Task) -> Answer:
     except Exception as error:
         traceback.print_exc()
         return Answer(task.run, task.folder, "error", f"{type(error).__name__}: {error}")
-    return Answer(task.run, task.folder, "done", peak_mb=_peak_mb())
+    return Answer(task.run, task.folder, "done")
 
 
 def _print_to(path: Path) -> None:
