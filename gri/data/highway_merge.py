@@ -251,11 +251,11 @@ HIGHWAY_MERGE = HighwayMergeRange(
     reward=LaneRewardConfig(
         constants=LaneConstants(
             following=FollowingConstants(
-                standstill=8.0, time_headway=0.7, comfort=4.0, minimum=8.0, zeta=5.0, speed_limit=20.0
+                standstill=9.0, time_headway=0.7, comfort=4.0, minimum=9.0, zeta=5.0, speed_limit=20.0
             ),
             width=3.75,
             yield_headway=16.0,
-            clear_headway=7.2,
+            clear_headway=8.2,
         ),
         units=Units(gap=4.5, collision=0.27, speed=6.5),
         lane_units=LaneUnits(lateral=2.1, heading=0.45, yaw_rate=0.22, yaw_acceleration=0.17),

@@ -64,6 +64,10 @@ def updated_beta(beta: float, kl: float, bottleneck: Bottleneck) -> float:
     return max(0.0, before + bottleneck.rate * (kl - bottleneck.information))
 
 
+LEFT_OUT = 20
+"""Updates in a row that may be left out."""
+
+
 class Descent:
     """Adam with a cosine schedule to 2 % of the rate and clipped gradients; `step(loss)` does one update."""
 
@@ -73,6 +77,7 @@ class Descent:
         self.parameters, self.clip = list(parameters), clip
         self.optimiser = torch.optim.Adam(self.parameters, rate, (beta, 0.99))
         self.schedule = torch.optim.lr_scheduler.CosineAnnealingLR(self.optimiser, updates, eta_min=0.02 * rate)
+        self._left_out = 0  # updates in a row
 
     def step(self, loss: Tensor) -> None:
         """Descend the loss; gradients that reach other parameters are not kept."""
@@ -83,9 +88,16 @@ class Descent:
         return torch.autograd.grad(loss, self.parameters, allow_unused=True, retain_graph=retain_graph)
 
     def apply(self, gradients: Sequence[Tensor | None]) -> None:
-        """Clip the gradients and do one update."""
+        """Clip the gradients and do one update; none where a roll-out ran away and they are not finite.
+
+        Errors: `FloatingPointError` where that goes on.
+        """
         for parameter, gradient in zip(self.parameters, gradients, strict=True):
             parameter.grad = gradient
-        nn.utils.clip_grad_norm_(self.parameters, self.clip)
-        self.optimiser.step()
-        self.schedule.step()
+        norm = nn.utils.clip_grad_norm_(self.parameters, self.clip)
+        self._left_out = 0 if bool(norm.isfinite()) else self._left_out + 1
+        if self._left_out > LEFT_OUT:
+            raise FloatingPointError(f"{LEFT_OUT} updates in a row had no finite gradient; lower the rates")
+        if not self._left_out:
+            self.optimiser.step()
+            self.schedule.step()

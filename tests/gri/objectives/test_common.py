@@ -1,9 +1,11 @@
 from math import log
 
+import pytest
 import torch
+from torch import nn
 
 from gri.dynamics import POINT_MASS_1D
-from gri.objectives.common import Descent, action_error, categorical_kl, reconstruction_loss
+from gri.objectives.common import LEFT_OUT, Descent, action_error, categorical_kl, reconstruction_loss
 
 
 def test_kl_by_hand():
@@ -40,3 +42,21 @@ def test_descent_leaves_other_parameters_alone():
     assert (mine < 1).all()
     assert other.grad is None
     assert torch.equal(other.data, torch.ones(2))
+
+
+def test_an_update_without_a_finite_gradient_is_left_out():
+    weight = nn.Parameter(torch.tensor([1.0, 2.0]))
+    descent = Descent([weight], 0.1, 100)
+    descent.step(weight.square().sum() * torch.nan)
+    assert weight.tolist() == [1.0, 2.0]
+    descent.step(weight.square().sum())
+    assert (weight < torch.tensor([1.0, 2.0])).all()
+
+
+def test_training_that_ran_away_for_good_is_an_error():
+    weight = nn.Parameter(torch.ones(2))
+    descent = Descent([weight], 0.1, 100)
+    for _ in range(LEFT_OUT):
+        descent.step(weight.square().sum() * torch.inf)
+    with pytest.raises(FloatingPointError, match="lower the rates"):
+        descent.step(weight.square().sum() * torch.inf)
