@@ -76,6 +76,7 @@ def test_every_scene_has_interaction_and_its_graph_says_what_its_steps_say(scene
                 assert vehicle[f"edge_from_{i}"].iloc[0] in (present or {"none"}) | {None, np.nan}
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_scenes_and_another_others(tmp_path: Path, scenes):
     (tmp_path / "again").mkdir()
     again, _ = filmed(tmp_path / "again", short())
