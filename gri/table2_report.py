@@ -112,7 +112,7 @@ def _text(results: Results, path: Path) -> str:
     parts = [
         "# Table II: recorded car following (NGSIM)\n",
         f"Test scenes: {counts}, cut from {files_of(path)}.\n",
-        NOTES,
+        NOTES.format(count=len(site), share=1.96 / len(site) ** 0.5),
     ]
     parts += [_table(whole), "\n## Beyond the paper\n", _beyond(whole), "\n## Out of distribution\n"]
     parts += [OOD_NOTES, _curves(whole)]

@@ -97,6 +97,7 @@ def test_the_page_has_every_row_beside_the_papers_figures(scene_file: Path, tmp_
         "f6_edge_frequencies_ngsim.png", "f10_success_ngsim.png",
     }  # fmt: skip
     text = (out / "table2.md").read_text()
+    assert "{" not in text
     assert "1 of us-101, cut from us-101.txt" in text
     assert "1.482 ± 0.938" in text  # the paper's Supervised
     assert "| IDM, calibrated |" in text
