@@ -1,6 +1,5 @@
 """A function in a process of its own, so that a native crash of SUMO ends that process and not the command."""
 
-import os
 import signal
 import traceback
 from collections.abc import Callable
@@ -10,6 +9,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from cosim.process import print_to
 from gri.errors import InputError
 
 
@@ -70,9 +70,7 @@ def _tail(log: Path) -> str:
 def _work(target: str, arguments: tuple[Any, ...], sender: Connection, log: Path) -> None:
     """The process: everything printed goes to the log, Ctrl-C is the parent's business."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    stream = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
-    os.dup2(stream, 1)
-    os.dup2(stream, 2)
+    print_to(log)
     try:
         module, _, function = target.partition(":")
         value = getattr(import_module(module), function)(*arguments, lambda *message: sender.send(("told", message)))

@@ -6,7 +6,6 @@ from statistics import fmean
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import torch
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
@@ -18,7 +17,7 @@ from gri.recorded_scores import RATIOS, clustered, pooled
 from gri.rows import printed
 from gri.table2 import Job, Row
 from gri.table2_lanes import FOLDS, TUNING
-from gri.table2_text import PAPERS, by_row, files_of, lines, printed_cell
+from gri.table2_text import PAPERS, by_row, files_of, lines, printed_cell, write_tables
 
 NOTES = """\
 How it was trained: on scenes whose motion along the road is recorded and whose motion across it is drawn, and then,
@@ -107,11 +106,7 @@ def tables(results: Results, out: Path) -> list[Path]:
                 scores.append(names | {"stage": stage, "metric": metric, "mean": value.mean, "std": value.std,
                                        "half_width": width, "windows": value.scenes})  # fmt: skip
         curves += [names | point for point in result["ood"]]
-    files = []
-    for name, rows in (("table2", scores), ("table2_ood", curves)):
-        pd.DataFrame(rows).to_csv(out / f"{name}.csv", index=False)
-        files.append(out / f"{name}.csv")
-    return files
+    return write_tables(scores, curves, out)
 
 
 def figures(results: Results, out: Path) -> list[Path]:

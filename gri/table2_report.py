@@ -8,7 +8,6 @@ from statistics import fmean
 from typing import Any
 
 import numpy as np
-import pandas as pd
 import torch
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
@@ -25,7 +24,7 @@ from gri.recorded_scores import RATIOS, pooled
 from gri.reproduce import commit
 from gri.rows import printed
 from gri.table2 import IDM, Job, Row
-from gri.table2_text import PAPERS, by_row, files_of, lines, printed_cell
+from gri.table2_text import PAPERS, by_row, files_of, lines, printed_cell, write_tables
 
 NOTES = """\
 Ours: mean over test scenes and seeds ± standard deviation over scenes (mean over seeds) [least seed, greatest seed].
@@ -210,11 +209,7 @@ def _tables(results: Results, out: Path) -> list[Path]:
         scores += [names | {"metric": name} | asdict(value) for name, value in values.items()]
         scores += [names | {"metric": name, "mean": v} for name, v in result["compared"].items()]
         curves += [names | point for point in result["ood"]]
-    files = []
-    for name, rows in (("table2", scores), ("table2_ood", curves)):
-        pd.DataFrame(rows).to_csv(out / f"{name}.csv", index=False)
-        files.append(out / f"{name}.csv")
-    return files
+    return write_tables(scores, curves, out)
 
 
 def _figures(results: Results, out: Path) -> list[Path]:

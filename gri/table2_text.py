@@ -4,6 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 from gri.data.scenes_file import header_of
 from gri.table2 import Job, Row
 
@@ -19,6 +21,14 @@ def by_row(results: Sequence[tuple[Job, dict[str, Any]]]) -> list[tuple[Row, lis
 def lines(head: list[str], body: list[list[str]]) -> str:
     """A Markdown table."""
     return "\n".join(f"| {' | '.join(line)} |" for line in [head, ["---"] * len(head), *body]) + "\n"
+
+
+def write_tables(scores: list[dict[str, Any]], curves: list[dict[str, Any]], out: Path) -> list[Path]:
+    """The scores and the curves out of distribution as CSV files."""
+    files = [out / "table2.csv", out / "table2_ood.csv"]
+    for file, rows in zip(files, (scores, curves), strict=True):
+        pd.DataFrame(rows).to_csv(file, index=False)
+    return files
 
 
 def printed_cell(value: tuple[float, float] | None, digits: int) -> str:

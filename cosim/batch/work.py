@@ -1,10 +1,7 @@
 """What a worker does with one run, wherever it runs."""
 
-import os
-import sys
 import traceback
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import msgspec
 
@@ -12,6 +9,7 @@ from cosim.batch.matrix import Run, key_of
 from cosim.batch.task import LOG, Answer, Task
 from cosim.job import run_job
 from cosim.policies import policy_of
+from cosim.process import peak_mb, print_to
 from gri.errors import InputError
 
 
@@ -32,7 +30,7 @@ def perform(task: Task) -> Answer:
     """Do the run in this process, which prints into its folder from now on; every failure becomes an answer."""
     try:
         task.folder.mkdir(parents=True)
-        _print_to(task.folder / LOG)
+        print_to(task.folder / LOG)
         if key_of(task.scenario, task.labels) != task.key:
             raise InputError(
                 "the net, the checkpoint or the versions here are not those that the batch began with; start"
@@ -46,22 +44,4 @@ def perform(task: Task) -> Answer:
     except Exception as error:
         traceback.print_exc()
         return Answer(task.run, task.folder, "error", f"{type(error).__name__}: {error}")
-    return Answer(task.run, task.folder, "done", peak_mb=_peak_mb())
-
-
-def _print_to(path: Path) -> None:
-    """Send everything this process prints, SUMO included, to a file."""
-    stream = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o644)
-    os.dup2(stream, 1)
-    os.dup2(stream, 2)
-    os.close(stream)
-
-
-def _peak_mb() -> float:
-    """Peak resident memory of this process; 0 where the system does not tell."""
-    try:
-        import resource
-    except ImportError:  # Windows
-        return 0.0
-    unit = 2**20 if sys.platform == "darwin" else 2**10
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
+    return Answer(task.run, task.folder, "done", peak_mb=peak_mb())

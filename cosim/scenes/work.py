@@ -4,7 +4,6 @@ Light to import: without torch a process is small, and copies of it for interven
 """
 
 import os
-import sys
 import tempfile
 import traceback
 from pathlib import Path
@@ -13,6 +12,7 @@ import msgspec
 
 from cosim.batch.task import LOG, Answer, Task
 from cosim.inputs import find_net
+from cosim.process import peak_mb, print_to
 from cosim.scenes.rules import DT
 from cosim.scenes.shard import Figures, Spec, film
 from cosim.sumo import SumoError
@@ -37,14 +37,14 @@ def perform(task: Task) -> Answer:
     """Film the seed that `task.labels["spec"]` describes into the task's folder; every failure becomes an answer."""
     try:
         task.folder.mkdir(parents=True)
-        _print_to(task.folder / LOG)
+        print_to(task.folder / LOG)
         spec = msgspec.json.decode(task.labels["spec"], type=Spec)
         with (
             tempfile.TemporaryDirectory(prefix="cosim-scenes-") as scratch,
             writing(task.folder / SCENES, Header(dt=DT)) as write,
         ):
             figures = film(spec, find_net(spec.scenario.net), Path(scratch), write)
-        brought = Brought(key=task.key, figures=figures, cpu_seconds=round(sum(os.times()[:4]), 3), peak_mb=_peak_mb())
+        brought = Brought(key=task.key, figures=figures, cpu_seconds=round(sum(os.times()[:4]), 3), peak_mb=peak_mb())
         (task.folder / FIGURES).write_bytes(msgspec.json.encode(brought))
     except InputError as error:
         return Answer(task.run, task.folder, "input", str(error))
@@ -54,20 +54,3 @@ def perform(task: Task) -> Answer:
         traceback.print_exc()
         return Answer(task.run, task.folder, "error", f"{type(error).__name__}: {error}")
     return Answer(task.run, task.folder, "done")
-
-
-def _print_to(path: Path) -> None:
-    """Send everything this process prints, SUMO included, to a file."""
-    with path.open("ab") as stream:
-        os.dup2(stream.fileno(), 1)
-        os.dup2(stream.fileno(), 2)
-
-
-def _peak_mb() -> float:
-    """Peak resident memory of this process; 0 where the system does not tell."""
-    try:
-        import resource
-    except ImportError:  # Windows
-        return 0.0
-    unit = 2**20 if sys.platform == "darwin" else 2**10
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit
