@@ -93,6 +93,7 @@ def test_quotas_bound_what_is_common(tmp_path: Path):
     assert figures.tallies["car_following"]["rejected"]["enough scenes with follow"] > 0
 
 
+@pytest.mark.slow
 def test_interventions_agree_with_the_rules_of_following(tmp_path: Path):
     found, figures = filmed(tmp_path, short(), kinds=("car_following",), count=3, gold=True)
     counts = np.array(figures.tallies["car_following"]["rule_gold"])

@@ -34,6 +34,7 @@ def scenario(tmp_path_factory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_data_set_is_one_file_and_a_report(scenario: Path, tmp_path: Path):
     done = run(scenario, tmp_path / "out", "--count", 6, "--per-seed", 4, "--workers", 1)
     assert done.returncode == 0, done.stderr
