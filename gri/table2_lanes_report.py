@@ -10,14 +10,14 @@ import torch
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 
-from gri.figures import COLOURS, STYLE, frequency_matrix, save
+from gri.figures import COLOURS, frequency_matrix
 from gri.metrics import edge_frequency, summary
 from gri.model import MERGE_BEHIND, MERGE_BETWEEN, Edge
 from gri.recorded_scores import RATIOS, clustered, pooled
 from gri.rows import printed
-from gri.table2 import Job, Row
+from gri.table2 import Row
 from gri.table2_lanes import FOLDS, TUNING
-from gri.table2_text import PAPERS, by_row, files_of, lines, printed_cell, write_tables
+from gri.table2_text import PAPERS, Results, by_row, files_of, lines, printed_cell, write_figures, write_tables
 
 NOTES = """\
 How it was trained: on scenes whose motion along the road is recorded and whose motion across it is drawn, and then,
@@ -35,7 +35,6 @@ Success rate, and in brackets collision rate, [%] against δ, the share by which
 0 and the one it yields to, 1 in H1 and 2 in H2, which drives as recorded; only the edge over which 0 yields is left.
 ± is half of the 95 % interval over the windows of one seed.
 """
-Results = list[tuple[Job, dict[str, Any]]]
 READINGS: dict[str, tuple[Edge, ...]] = {"H1": MERGE_BEHIND, "H2": MERGE_BETWEEN}
 
 
@@ -112,12 +111,7 @@ def tables(results: Results, out: Path) -> list[Path]:
 def figures(results: Results, out: Path) -> list[Path]:
     """F6 by reading, where a row infers graphs, and F11."""
     drawn = {"f6_edge_frequencies_ngsim_lanes": _frequencies, "f11_success_ngsim_lanes": _success}
-    if not any(result["graphs"] for _, result in results):
-        del drawn["f6_edge_frequencies_ngsim_lanes"]
-    with plt.rc_context(STYLE):
-        for name, draw in drawn.items():
-            save(draw(results), out, name)
-    return [out / f"{name}.png" for name in drawn]
+    return write_figures(drawn, results, out)
 
 
 def _frequencies(results: Results) -> Figure:

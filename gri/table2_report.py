@@ -17,14 +17,14 @@ from gri.data.ngsim.extract import scene_file
 from gri.data.recorded_ranges import RECORDED
 from gri.data.scenes_file import header_of
 from gri.errors import InputError
-from gri.figures import COLOURS, STYLE, frequency_matrix, save
+from gri.figures import COLOURS, frequency_matrix
 from gri.metrics import summary
 from gri.progress import Progress, silent
 from gri.recorded_scores import RATIOS, pooled
 from gri.reproduce import commit
 from gri.rows import printed
-from gri.table2 import IDM, Job, Row
-from gri.table2_text import PAPERS, by_row, files_of, lines, printed_cell, write_tables
+from gri.table2 import IDM, Row
+from gri.table2_text import PAPERS, Results, by_row, files_of, lines, printed_cell, write_figures, write_tables
 
 NOTES = """\
 Ours: mean over test scenes and seeds ± standard deviation over scenes (mean over seeds) [least seed, greatest seed].
@@ -40,7 +40,6 @@ which drives as recorded; only the edge 1 → 0 is left. Mean over seeds ± half
 one seed. GRI's training also maximises the learned reward from starts shifted by −5 to 30 m, without demonstrations
 there.
 """
-Results = list[tuple[Job, dict[str, Any]]]
 
 
 @dataclass(frozen=True)
@@ -214,13 +213,7 @@ def _tables(results: Results, out: Path) -> list[Path]:
 
 def _figures(results: Results, out: Path) -> list[Path]:
     whole = [(job, result) for job, result in results if job.site is None]
-    drawn = {"f6_edge_frequencies_ngsim": _frequencies, "f10_success_ngsim": _success}
-    if not any(result["graphs"] for _, result in whole):  # no row infers graphs
-        del drawn["f6_edge_frequencies_ngsim"]
-    with plt.rc_context(STYLE):
-        for name, draw in drawn.items():
-            save(draw(whole), out, name)
-    return [out / f"{name}.png" for name in drawn]
+    return write_figures({"f6_edge_frequencies_ngsim": _frequencies, "f10_success_ngsim": _success}, whole, out)
 
 
 def _frequencies(results: Results) -> Figure:

@@ -1,18 +1,23 @@
 """Pieces of the pages of Table 2."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
+from matplotlib import pyplot as plt
+from matplotlib.figure import Figure
 
 from gri.data.scenes_file import header_of
+from gri.figures import STYLE, save
 from gri.table2 import Job, Row
+
+Results = list[tuple[Job, dict[str, Any]]]
 
 PAPERS = {"GRI": "GRI", "GRI (paper)": "GRI", "NRI": "NRI", "Supervised": "Supervised"}
 
 
-def by_row(results: Sequence[tuple[Job, dict[str, Any]]]) -> list[tuple[Row, list[dict[str, Any]]]]:
+def by_row(results: Results) -> list[tuple[Row, list[dict[str, Any]]]]:
     """The results of every row, a seed each."""
     names = dict.fromkeys(job.row for job, _ in results)
     return [(row, [result for job, result in results if job.row == row]) for row in names]
@@ -29,6 +34,16 @@ def write_tables(scores: list[dict[str, Any]], curves: list[dict[str, Any]], out
     for file, rows in zip(files, (scores, curves), strict=True):
         pd.DataFrame(rows).to_csv(file, index=False)
     return files
+
+
+def write_figures(drawn: Mapping[str, Callable[[Results], Figure]], results: Results, out: Path) -> list[Path]:
+    """The figures by name; those of edge frequencies (F6) only where a row infers graphs."""
+    graphs = any(result["graphs"] for _, result in results)
+    names = [name for name in drawn if graphs or not name.startswith("f6_")]
+    with plt.rc_context(STYLE):
+        for name in names:
+            save(drawn[name](results), out, name)
+    return [out / f"{name}.png" for name in names]
 
 
 def printed_cell(value: tuple[float, float] | None, digits: int) -> str:

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import msgspec
 import pytest
+import yaml
 
 from cosim.closed_loop import Files, Outcome, run
 from cosim.driving import Driver
@@ -15,6 +16,16 @@ from gri.resources import shipped
 
 def quiet(*_: object) -> None:
     """A listener that does not listen."""
+
+
+def write_short(path: Path, **changes: object) -> Path:
+    """The main scenario with a minute of warm-up and two driven seconds, as a file that people would write."""
+    content = yaml.safe_load(shipped("scenarios", "us101_car_following.yaml").read_text())
+    traffic = yaml.safe_load(shipped("scenarios/traffic", "us101_congested.yaml").read_text())
+    traffic["warm_up"] = 60
+    content |= {"traffic": traffic, "horizon": 2.0, "time_limit": 120} | changes
+    path.write_text(yaml.safe_dump(content))
+    return path
 
 
 @pytest.fixture(scope="session")

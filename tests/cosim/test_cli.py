@@ -12,7 +12,8 @@ import pandas as pd
 import pytest
 import yaml
 
-from gri.resources import checkpoint, shipped
+from gri.resources import checkpoint
+from tests.cosim.conftest import write_short
 
 
 def cosim(*arguments: str, cwd: Path, timeout: float = 120) -> subprocess.CompletedProcess[str]:
@@ -25,11 +26,7 @@ def cosim(*arguments: str, cwd: Path, timeout: float = 120) -> subprocess.Comple
 def short(tmp_path_factory) -> Path:
     """A folder with a short scenario."""
     folder = tmp_path_factory.mktemp("cli")
-    content = yaml.safe_load(shipped("scenarios", "us101_car_following.yaml").read_text())
-    traffic = yaml.safe_load(shipped("scenarios/traffic", "us101_congested.yaml").read_text())
-    traffic["warm_up"] = 60
-    content |= {"traffic": traffic, "episodes": 4, "horizon": 2.0, "watch": 1.0, "time_limit": 120}
-    (folder / "short.yaml").write_text(yaml.safe_dump(content))
+    write_short(folder / "short.yaml", episodes=4, watch=1.0)
     return folder
 
 

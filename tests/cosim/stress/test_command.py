@@ -7,10 +7,9 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-import yaml
 
 from cosim.branch import CAN_FORK
-from gri.resources import shipped
+from tests.cosim.conftest import write_short
 
 pytestmark = pytest.mark.skipif(not CAN_FORK, reason="stress tests fork")
 OPTIONS = ("--policy", "idm,sumo", "--perturbation", "headway_ratio", "--intensity", "0.2,0.5", "--starts", "2")
@@ -24,11 +23,7 @@ def stress(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("stress")
-    content = yaml.safe_load(shipped("scenarios", "us101_car_following.yaml").read_text())
-    traffic = yaml.safe_load(shipped("scenarios/traffic", "us101_congested.yaml").read_text())
-    traffic["warm_up"] = 60
-    content |= {"traffic": traffic, "horizon": 2.0, "time_limit": 120}
-    (folder / "short.yaml").write_text(yaml.safe_dump(content))
+    write_short(folder / "short.yaml")
     return folder
 
 
