@@ -23,8 +23,9 @@ from jaxtyping import Float
 from msgspec.structs import replace
 from scipy.optimize import minimize
 
+from cosim.demand import Traffic
 from cosim.job import survey_job
-from cosim.scenario import Scenario, Traffic
+from cosim.scenario import Scenario
 from cosim.traffic_figures import Figures, checks, figures_of
 from gri.errors import InputError
 

@@ -6,7 +6,8 @@ from typing import Any
 
 import msgspec
 
-from cosim.scenario import Replay, Scenario, Traffic
+from cosim.demand import Traffic
+from cosim.scenario import Replay, Scenario
 from gri.config import parsed, read_yaml, typed
 from gri.errors import InputError
 from gri.resources import shipped

@@ -14,9 +14,10 @@ import numpy as np
 from jaxtyping import Float
 from msgspec.structs import replace
 
+from cosim.demand import Flow, Traffic
 from cosim.frames import RoadFrame
 from cosim.inputs import recording_path
-from cosim.scenario import Flow, Replay, Traffic
+from cosim.scenario import Replay
 from cosim.sumo import Sumo
 from gri.data.ngsim.columns import FRAME
 from gri.data.ngsim.defects import clean

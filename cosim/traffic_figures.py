@@ -8,7 +8,8 @@ import pandas as pd
 from rich.markup import escape
 from rich.table import Table
 
-from cosim.scenario import Scenario, Targets
+from cosim.demand import Targets
+from cosim.scenario import Scenario
 from cosim.survey import Survey
 
 KMH = 3.6  # km/h in a m/s

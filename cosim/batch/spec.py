@@ -9,7 +9,8 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta, field
 
-from cosim.scenario import Count, Driver, Name, Positive, Seed, Spec
+from cosim.demand import Count, Name, Positive, Spec
+from cosim.scenario import Driver, Seed
 
 Intensities = Annotated[tuple[float, ...], Meta(min_length=1)]
 NOMINAL = "nominal"  # the perturbation of a run that has none

@@ -4,8 +4,9 @@ from functools import reduce
 
 from msgspec.structs import replace
 
+from cosim.demand import Flow, Traffic, VehicleClass
 from cosim.perturb.specs import AggressiveDrivers, DenserDemand, LowFriction, MoreTrucks, Perturbation
-from cosim.scenario import Flow, Scenario, Traffic, VehicleClass
+from cosim.scenario import Scenario
 
 GRAVITY = 9.81  # [m/s^2]
 TRUCK = "truck"

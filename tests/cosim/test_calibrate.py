@@ -9,8 +9,8 @@ from msgspec.structs import replace
 
 from cosim import calibrate as module
 from cosim.calibrate import COLLISION, Evaluation, Search, calibrate, misfit_of, parameters
+from cosim.demand import Targets, Traffic
 from cosim.loading import load_scenario
-from cosim.scenario import Targets, Traffic
 from cosim.traffic_figures import Figures
 from gri.errors import InputError
 

@@ -6,8 +6,8 @@ import pytest
 from msgspec.structs import replace
 from rich.markup import escape
 
+from cosim.demand import Targets
 from cosim.loading import load_scenario
-from cosim.scenario import Targets
 from cosim.survey import Survey
 from cosim.traffic_figures import checks, figures_of, frame_of, met, table_of
 
