@@ -41,11 +41,15 @@ class Told:
     """Speed it would have then without anybody ahead."""
     behind: Values
     """Speed its car-following model allows behind its leader; inf where it has none."""
+    beside: Values
+    """The same behind its target."""
     noise: Values
     """By how much it may fall short of what its model allows, at random [m/s²]."""
     leader: Numbers
     asker: Numbers
     """Who asks it to make room: urgently wants the lane it is in, and it is what is in the way."""
+    target: Numbers
+    """Behind whom it would drive in the lane that it urgently wants to itself."""
     gave_way: Flags
     """It changed lanes to help in the step that follows."""
     cut: Numbers
@@ -91,29 +95,54 @@ def by_rule(told: Told) -> Reactions:
     """Reactions without any intervention.
 
     A vehicle follows its leader where its model binds it: it allows less than the free speed, and the vehicle is no
-    slower than that. It yields to who asks it where it is slower than its model and its own imperfection explain. It
-    cuts in where its lane change leaves less than the secure gap and `ROOM`.
+    slower than that. It yields to who asks it where it is slower than its model and its own imperfection explain; where
+    nobody asks, it may follow its target already (`_adapting`). It cuts in where its lane change leaves less than the
+    secure gap and `ROOM`.
     """
-    a = (told.v_next - told.v) / told.dt
     lowest = np.maximum(told.v - HARDEST * told.dt, 0.0)
     effect = (np.minimum(np.maximum(told.behind, lowest), told.free) - told.free) / told.dt
-    allowed = (np.minimum(told.behind, told.free) - told.v) / told.dt
-    short = a - np.maximum(allowed, (lowest - told.v) / told.dt) + told.noise + SLACK
+    short = _short(told)
     bound = (told.leader != NOBODY) & (effect < FELT) & (short >= 0)
     slowed = (told.asker != NOBODY) & (short < 0)
-    follow = Heed(np.where(bound, told.leader, NOBODY), np.where(bound, effect, 0.0))
+    adapting = _adapting(told) & (told.asker == NOBODY)
+    follow = _follow(told, bound, effect, adapting)
     yielding = Heed(np.where(slowed, told.asker, NOBODY), np.where(slowed, short - SLACK, 0.0))
     cut = np.where(told.room < ROOM, told.cut, NOBODY)
     return _with_changes(told, follow, yielding, cut)
 
 
 def by_intervention(told: Told, unled: Values, unasked: Values) -> Reactions:
-    """Reactions from the accelerations (now minus without) of vehicles that ignore their leader, or all requests."""
+    """Reactions from the accelerations (now minus without) of vehicles that ignore their leader, or all requests.
+
+    No intervention shows in one step what a vehicle does for its own lane change: `_adapting` is a rule here too.
+    """
     bound = (told.leader != NOBODY) & (unled < FELT)
     slowed = (told.asker != NOBODY) & (unasked < FELT)
-    follow = Heed(np.where(bound, told.leader, NOBODY), np.where(bound, unled, 0.0))
+    follow = _follow(told, bound, unled, _adapting(told) & ~slowed)
     yielding = Heed(np.where(slowed, told.asker, NOBODY), np.where(slowed, unasked, 0.0))
     return _with_changes(told, follow, yielding, None)
+
+
+def _short(told: Told) -> Values:
+    """By how much a vehicle is slower (negative) than its model and its own imperfection explain [m/s²]."""
+    lowest = np.maximum(told.v - HARDEST * told.dt, 0.0)
+    allowed = np.maximum(np.minimum(told.behind, told.free), lowest)
+    return (told.v_next - allowed) / told.dt + told.noise + SLACK
+
+
+def _adapting(told: Told) -> Flags:
+    """Where a vehicle is held by its target, whom it will drive behind: slower than its own leader explains, and no
+    slower than its model would allow behind the target.
+    """
+    least = (told.v_next - told.beside) / told.dt + told.noise + SLACK
+    return (told.target != NOBODY) & (_short(told) < 0) & (least >= 0)
+
+
+def _follow(told: Told, bound: Flags, effect: Values, adapting: Flags) -> Heed:
+    """Towards the leader, or else the target."""
+    adapting = adapting & ~bound
+    whom = np.where(bound, told.leader, np.where(adapting, told.target, NOBODY))
+    return Heed(whom, np.where(bound, effect, np.where(adapting, _short(told) - SLACK, 0.0)))
 
 
 def _with_changes(told: Told, follow: Heed, yielding: Heed, cut: Numbers | None) -> Reactions:

@@ -27,6 +27,8 @@ _TWIN = "twin:"  # prefix of the ids of twins
 _NOWHERE = libsumo.constants.INVALID_DOUBLE_VALUE  # what getters say of a vehicle that is off all lanes
 _LEADER_RANGE = 100.0  # [m] within which leaders are told
 
+# libsumo's own functions without their Python wrappers, for what is asked of every vehicle in every step: half the time
+_position, _speed = libsumo._libsumo.vehicle_getLanePosition, libsumo._libsumo.vehicle_getSpeed
 _NATIVE_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
 
 
@@ -43,6 +45,7 @@ class Sumo:
 
     def __init__(self) -> None:
         self._sizes: dict[str, tuple[float, float]] = {}
+        self._lengths, self._least_gaps = _Kept(libsumo.vehicle.getLength), _Kept(libsumo.vehicle.getMinGap)
         self._modes: dict[str, tuple[int, int]] = {}  # (speed mode, lane-change mode) before take-over
         self._twins: set[str] = set()  # vehicles that have one
         self._around: Around | None = None  # what the last snapshot around vehicles found
@@ -119,16 +122,26 @@ class Sumo:
 
     def driving(self, lanes: Sequence[str]) -> Driving:
         """Read the vehicles on these lanes and what SUMO says of their drivers; shadows of no kind, no twins."""
-        vehicle, on = libsumo.vehicle, [libsumo.lane.getLastStepVehicleIDs(lane) for lane in lanes]
+        on = [libsumo.lane.getLastStepVehicleIDs(lane) for lane in lanes]
         ids = [v for of_lane in on for v in of_lane]
-        ahead = [vehicle.getLeader(v, _LEADER_RANGE) or ("", math.inf) for v in ids]
+        position = [*map(_position, ids)]
+        leader = [
+            v for of_lane in on if of_lane for v in (*of_lane[1:], "")
+        ]  # who is ahead comes later
+        ahead, length, least = [*position[1:], 0.0], self._lengths, self._least_gaps
+        gap = [
+            p - length[other] - own - least[v] if other else math.inf
+            for v, other, own, p in zip(ids, leader, position, ahead, strict=True)
+        ]
+        for row in [row for row, other in enumerate(leader) if not other]:
+            leader[row], gap[row] = libsumo.vehicle.getLeader(ids[row], _LEADER_RANGE) or ("", math.inf)
         return Driving(
             ids=ids,
             lane=[k for k, of_lane in enumerate(on) for _ in of_lane],
-            position=[vehicle.getLanePosition(v) for v in ids],
-            v=[vehicle.getSpeed(v) for v in ids],
-            leader=[leader for leader, _ in ahead],
-            gap=[gap for _, gap in ahead],
+            position=position,
+            v=[*map(_speed, ids)],
+            leader=leader,
+            gap=gap,
         )
 
     def lane_change_state(self, vehicle: str, left: bool) -> int:
@@ -311,6 +324,18 @@ class Sumo:
         if self._commanded:  # closing and restarting with a pending moveToXY crashes SUMO
             libsumo.simulationStep()
         libsumo.close()
+
+
+class _Kept(dict[str, float]):
+    """What does not change about vehicles; asked once."""
+
+    def __init__(self, ask: Callable[[str], float]) -> None:
+        super().__init__()
+        self._ask = ask
+
+    def __missing__(self, vehicle: str) -> float:
+        self[vehicle] = found = self._ask(vehicle)
+        return found
 
 
 def _meet(end: tuple[float, float], begin: tuple[float, float]) -> bool:

@@ -1,14 +1,14 @@
 """Who asks whom to make room for a lane change, as SUMO's model LC2013 does it, and what lane changes do to others.
 
 SUMO does not tell to whom a request goes. It goes from who urgently wants to a lane, and is blocked there, to the next
-vehicle behind, which is to slow down, and to a slower one ahead, which is to let itself be overtaken.
+vehicle behind, which is to slow down, and to a slower one ahead, which is to let itself be overtaken. Who cannot or
+need not overtake the one ahead there keeps a distance to it already: it will drive behind it.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 
 from cosim.snapshot import Driving, LaneChange
 from cosim.sumo import Sumo
@@ -21,7 +21,6 @@ SIDES = tuple(
         (LaneChange.RIGHT, LaneChange.BLOCKED_BY_RIGHT_FOLLOWER, LaneChange.BLOCKED_BY_RIGHT_LEADER),
     )
 )
-NEAR = 40.0  # [m] from who urgently wants to change lanes; who helps it may have to ask others
 SAME_LANE = 1.0  # [m] of lateral distance between lanes that continue each other
 
 
@@ -37,53 +36,43 @@ class Change:
     """Who drives behind it in the new lane; "": nobody near."""
 
 
-def askers(world: Sumo, driving: Driving, restless: Sequence[int], s: Float[np.ndarray, " V"]) -> dict[int, str]:
-    """By whom each row is asked; of several by the nearest.
+@dataclass(frozen=True)
+class Wishes:
+    """What comes of urgent wishes to change lanes, by row of a `Driving`."""
 
-    Who asks is restless, that is, must leave its lane, or is near one who urgently wants to, and helps; `s` [m] says
-    where everybody is.
-    """
+    askers: dict[int, str]
+    """By whom a vehicle is asked; of several by the nearest."""
+    targets: dict[int, tuple[str, float]]
+    """Behind whom a vehicle that urgently wants to another lane would drive there, and the gap to it [m]."""
 
-    def states_of(rows: Iterable[int]) -> dict[int, tuple[int, int]]:
-        ids = driving.ids
-        return {
-            row: (world.lane_change_state(ids[row], True), world.lane_change_state(ids[row], False)) for row in rows
-        }
 
-    states = states_of(restless)
-    urgent = _urgent(states)
-    if not urgent:
-        return {}
-    near = np.flatnonzero((np.abs(s - s[urgent, None]) < NEAR).any(0)).tolist()
-    states |= states_of(set(near) - set(states))
-    urgent = _urgent(states)
-    found: dict[int, tuple[float, str]] = {}
+def wishes(world: Sumo, driving: Driving, candidates: Iterable[int]) -> Wishes:
+    """Who asks whom, and who wants to drive behind whom, of the candidates and, as helpers may ask too, the asked."""
+    asked: dict[int, tuple[float, str]] = {}
+    targets: dict[int, tuple[str, float]] = {}
     rows = {vehicle: row for row, vehicle in enumerate(driving.ids)}
-    for row in urgent:
-        for other, distance in _asked(world, driving, row, states[row], rows):
-            if other in rows and distance < found.get(rows[other], (np.inf, ""))[0]:
-                found[rows[other]] = distance, driving.ids[row]
-    return {row: asker for row, (_, asker) in found.items()}
-
-
-def _urgent(states: dict[int, tuple[int, int]]) -> list[int]:
-    return sorted(row for row, (left, right) in states.items() if (left | right) & URGENT)
-
-
-def _asked(
-    world: Sumo, driving: Driving, row: int, states: tuple[int, int], rows: dict[str, int]
-) -> Iterator[tuple[str, float]]:
-    """Whom a vehicle asks, and how far away they are [m]."""
-    vehicle = driving.ids[row]
-    for to_left, state, (wish, behind, ahead) in zip((True, False), states, SIDES, strict=True):
-        if not (state & URGENT and state & wish):
-            continue
-        if state & behind:
-            yield world.neighbour(vehicle, to_left, ahead=False)
-        if state & ahead:
-            other, distance = world.neighbour(vehicle, to_left, ahead=True)
-            if other in rows and driving.v[row] > driving.v[rows[other]]:
-                yield other, distance
+    waiting = sorted(candidates)
+    seen = set(waiting)
+    for row in waiting:  # grows
+        vehicle = driving.ids[row]
+        for to_left, (wish, behind, ahead) in zip((True, False), SIDES, strict=True):
+            state = world.lane_change_state(vehicle, to_left)
+            if not (state & URGENT and state & wish):
+                continue
+            others = [world.neighbour(vehicle, to_left, ahead=False)] if state & behind else []
+            target, gap = world.neighbour(vehicle, to_left, ahead=True)
+            if target in rows:
+                targets[row] = target, gap
+                if state & ahead and driving.v[row] > driving.v[rows[target]]:
+                    others.append((target, gap))
+            for other, distance in others:
+                at = rows.get(other)
+                if at is not None and distance < asked.get(at, (np.inf, ""))[0]:
+                    asked[at] = distance, vehicle
+                    if at not in seen:
+                        seen.add(at)
+                        waiting.append(at)
+    return Wishes({row: asker for row, (_, asker) in asked.items()}, targets)
 
 
 def now_behind(driving: Driving, vehicle: str, centres: Sequence[float]) -> int | None:

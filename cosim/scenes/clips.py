@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from cosim.labels import NOBODY, Told
 from cosim.scenes.rules import Kind
@@ -25,6 +25,8 @@ class Clip:
     """Columns of the tape."""
     behind: Float[np.ndarray, "3 M"]
     """Speed the car-following models allow behind the leaders; inf where that says nothing about the three."""
+    beside: Float[np.ndarray, "3 M"]
+    """The same behind whom they want to change lanes to, where that is one of the three; else inf."""
 
     @property
     def speeds(self) -> Float[np.ndarray, "3 M"]:
@@ -45,37 +47,46 @@ def cut(window: Window, tape: Tape, steps: int) -> Clip | None:
         return None
     tape.settle()
     values = np.stack([moment.values[rows[:, t]] for t, moment in enumerate(moments)], 1)
+    limits = np.array([moment.limits for moment in moments])
+    values[..., COLUMN["limit"]] = limits[np.arange(len(moments)), values[..., COLUMN["lane"]].astype(int)]
+    if tape.every == 1:
+        values[:, :-1, COLUMN["v_next"]] = values[:, 1:, COLUMN["v"]]
     ids = [moments[0].ids[row] for row in rows[:, 0]]
     characters = tuple(tape.world.character(vehicle) for vehicle in ids)
-    return Clip(window, moments[0].time, characters, values, _behind(tape, window, moments, ids, values))
+    leader, asker, target = (values[..., COLUMN[name]].astype(int) for name in ("leader", "asker", "target"))
+    after, wanted = np.isin(asker, window.vehicles), np.isin(target, window.vehicles)
+    concerned = np.isin(leader, window.vehicles) | ((after | wanted) & (leader != NOBODY))
+    behind = _allowed(tape, moments, ids, values, "gap", np.where(concerned, leader, NOBODY))
+    beside = _allowed(tape, moments, ids, values, "target_gap", np.where(wanted, target, NOBODY))
+    return Clip(window, moments[0].time, characters, values, behind, beside)
 
 
-def _behind(
-    tape: Tape, window: Window, moments: Sequence[Moment], ids: list[str], values: np.ndarray
+def _allowed(
+    tape: Tape, moments: Sequence[Moment], ids: list[str], values: np.ndarray, gap: str, whom: Int[np.ndarray, "3 M"]
 ) -> Float[np.ndarray, "3 M"]:
-    """Asks the car-following models, for those steps only at which a label may depend on it."""
-    leader, asker = (values[..., COLUMN[name]].astype(int) for name in ("leader", "asker"))
-    concerned = np.isin(leader, window.vehicles) | (np.isin(asker, window.vehicles) & (leader != NOBODY))
-    behind = np.full(leader.shape, np.inf)
+    """Asks the car-following models, for those steps only at which a label may depend on it; inf elsewhere."""
+    allowed = np.full(whom.shape, np.inf)
     braking: dict[int, float] = {}
-    for j, t in np.argwhere(concerned).tolist():
-        number, moment = int(leader[j, t]), moments[t]
+    for j, t in np.argwhere(whom != NOBODY).tolist():
+        number, moment = int(whom[j, t]), moments[t]
         row = moment.row.get(number)
         if row is None:  # beyond the stretch: nobody can say that it was not the leader who slowed it
-            behind[j, t] = 0.0
+            allowed[j, t] = 0.0
             continue
         if number not in braking:
             braking[number] = tape.world.braking(moment.ids[row])
-        v, gap = values[j, t, COLUMN["v"]], values[j, t, COLUMN["gap"]]
-        v_leader = moment.values[row, COLUMN["v"]]
-        behind[j, t] = tape.world.follow_speed(ids[j], float(v), float(gap), float(v_leader), braking[number])
-    return behind
+        v, room, v_leader = values[j, t, COLUMN["v"]], values[j, t, COLUMN[gap]], moment.values[row, COLUMN["v"]]
+        allowed[j, t] = tape.world.follow_speed(ids[j], float(v), float(room), float(v_leader), braking[number])
+    return allowed
 
 
 def told_of(clips: Sequence[Clip], step: float, every: int) -> Told:
     """What SUMO says of the vehicles of clips of one kind, for `cosim.labels`."""
     values = np.stack([clip.values[:, :-1] for clip in clips])
-    v, limit, leader, asker, cut_in = (values[..., COLUMN[n]] for n in ("v", "limit", "leader", "asker", "cut"))
+    v, limit = values[..., COLUMN["v"]], values[..., COLUMN["limit"]]
+    leader, asker, target, cut_in = (
+        values[..., COLUMN[name]].astype(int) for name in ("leader", "asker", "target", "cut")
+    )
     factor, top, acceleration, imperfection = (
         np.array([[getattr(c, name) for c in clip.characters] for clip in clips])[..., None]
         for name in ("speed_factor", "max_speed", "acceleration", "imperfection")
@@ -87,10 +98,12 @@ def told_of(clips: Sequence[Clip], step: float, every: int) -> Told:
         free=np.minimum(v + acceleration * step, np.minimum(limit * factor, top)),
         behind=np.stack([clip.behind[:, :-1] for clip in clips]),
         noise=np.broadcast_to(imperfection * acceleration, v.shape),
-        leader=leader.astype(int),
-        asker=asker.astype(int),
+        beside=np.stack([clip.beside[:, :-1] for clip in clips]),
+        leader=leader,
+        asker=asker,
+        target=target,
         gave_way=values[..., COLUMN["gave_way"]] > 0,
-        cut=cut_in.astype(int),
+        cut=cut_in,
         room=values[..., COLUMN["room"]],
         dt=step,
         every=every,

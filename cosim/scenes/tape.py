@@ -2,7 +2,7 @@
 
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from jaxtyping import Float
@@ -10,14 +10,18 @@ from jaxtyping import Float
 from cosim.branch import Branch
 from cosim.frames import RoadFrame
 from cosim.labels import NOBODY
-from cosim.scenes.asking import Change, askers, now_behind, room
+from cosim.scenes.asking import Change, now_behind, room, wishes
 from cosim.scenes.gold import speeds_unasked, speeds_unled
 from cosim.snapshot import Driving, LaneChange
 from cosim.sumo import Sumo
 
-COLUMNS = ("lane", "position", "v", "leader", "gap", "limit", "asker", "gave_way", "cut", "room", "v_next", "unled",
-           "unasked")  # fmt: skip
+READ = ("lane", "position", "v", "leader", "gap")
+LATER = ("limit", "v_next", "unled", "unasked")
+COLUMNS = (*READ, "asker", "target", "target_gap", "gave_way", "cut", "room", *LATER)
 COLUMN = {name: k for k, name in enumerate(COLUMNS)}
+EMPTY = np.zeros(len(COLUMNS))
+EMPTY[[COLUMN["asker"], COLUMN["target"], COLUMN["cut"]]] = NOBODY
+EMPTY[COLUMN["room"]] = np.inf
 MILLION = 1_000_000
 AHEAD = 8  # moments that the simulation may be ahead of the copies that try interventions
 
@@ -35,17 +39,6 @@ class Numbers(dict[str, int]):
         return number
 
 
-class Restless(dict[tuple[str, int], bool]):
-    """Whether a vehicle must leave a lane; asked once for both."""
-
-    def __init__(self, world: Sumo) -> None:
-        self._world = world
-
-    def __missing__(self, at: tuple[str, int]) -> bool:
-        self[at] = found = self._world.must_leave(at[0])
-        return found
-
-
 @dataclass(frozen=True)
 class Moment:
     """All vehicles at one step of the scenes; what shows a simulation step later is filled in then."""
@@ -57,9 +50,11 @@ class Moment:
     row: dict[int, int]
     """Of a vehicle's number."""
     values: Float[np.ndarray, "V F"]
-    """`COLUMNS`: what `cosim.labels.Told` wants, SI units."""
+    """`COLUMNS`: what `cosim.labels.Told` wants, SI units; `LATER` are filled in where they are wanted."""
     changes: list[Change]
     """Since the moment before."""
+    limits: list[float] = field(default_factory=list)
+    """Of the lanes [m/s]."""
 
     def of(self, name: str) -> Float[np.ndarray, " V"]:
         """A column."""
@@ -90,7 +85,6 @@ class Stretch:
         strips = {name: world.strip(name, road) for name in world.lanes_of(edges)}
         self.names = [name for name, strip in strips.items() if strip.end > 0 and strip.begin < reach]
         self.lanes = [_lane(world, name, road) for name in self.names]
-        self.begins = np.array([strips[name].begin for name in self.names])
         self.centres = [lane.centre for lane in self.lanes]
         self.road = road
 
@@ -114,7 +108,8 @@ class Tape:
         self.moments: deque[Moment] = deque(maxlen=length)
         self._lane_of: dict[str, int] = {}
         self._tries: deque[tuple[Moment, dict[str, Branch[list[float]]]]] = deque()
-        self._restless = Restless(world)
+        self._restless: set[str] = set()  # vehicles that must leave their lane to go their way
+        self._asked: set[str] = set()  # who was asked to make room at the moment before
         self.count = 0
         """Moments so far."""
 
@@ -128,7 +123,7 @@ class Tape:
                 self._tries.append((first, self._try(first)))
             report = self.world.step()
             driving = self.world.driving(self.stretch.names)
-            if first:
+            if first and (self.gold or self.every > 1):  # else the next moment says it
                 v = dict(zip(driving.ids, driving.v, strict=True))
                 first.values[:, COLUMN["v_next"]] = [v.get(vehicle, np.nan) for vehicle in first.ids]
             changes += self._changes(driving)
@@ -158,34 +153,33 @@ class Tape:
         """Lane changes on the same edge since the last reading."""
         lanes, before, changes = self.stretch.lanes, self._lane_of, []
         now = dict(zip(driving.ids, driving.lane, strict=True))
-        for vehicle in [vehicle for vehicle, lane in now.items() if before.get(vehicle, lane) != lane]:
-            source, target = before[vehicle], now[vehicle]
-            if lanes[source].edge == lanes[target].edge:
+        for vehicle in [vehicle for vehicle, lane in now.items() if before.get(vehicle) != lane]:
+            (self._restless.add if self.world.must_leave(vehicle) else self._restless.discard)(vehicle)
+            source, target = before.get(vehicle), now[vehicle]
+            if source is not None and lanes[source].edge == lanes[target].edge:
                 state = self.world.lane_change_state(vehicle, lanes[target].centre > lanes[source].centre)
                 behind = now_behind(driving, vehicle, self.stretch.centres)
                 name = "" if behind is None else driving.ids[behind]
                 changes.append(Change(vehicle, source, target, state, name))
+        self._restless &= now.keys()
         self._lane_of = now
         return changes
 
     def _moment(self, time: float, driving: Driving, changes: list[Change]) -> Moment:
         numbers, count = self.numbers, len(driving.ids)
-        number = [numbers[vehicle] for vehicle in driving.ids]
-        values = np.zeros((count, len(COLUMNS)))
-        values[:, COLUMN["lane"]] = driving.lane
-        values[:, COLUMN["position"]] = driving.position
-        values[:, COLUMN["v"]] = driving.v
-        values[:, COLUMN["leader"]] = [numbers[leader] for leader in driving.leader]
-        values[:, COLUMN["gap"]] = driving.gap
-        values[:, COLUMN["limit"]] = np.array(self.world.limits(self.stretch.names))[driving.lane]
-        values[:, [COLUMN["asker"], COLUMN["cut"]]] = NOBODY
-        values[:, COLUMN["room"]] = np.inf
-        restless = [row for row, at in enumerate(zip(driving.ids, driving.lane, strict=True)) if self._restless[at]]
-        s = self.stretch.begins[driving.lane] + driving.position
-        for row, asker in askers(self.world, driving, restless, s).items():
+        leaders = [numbers[leader] for leader in driving.leader]
+        values = np.tile(EMPTY, (count, 1))
+        values[:, : len(READ)] = np.array([driving.lane, driving.position, driving.v, leaders, driving.gap]).T
+        concerned = self._restless | self._asked
+        wanted = wishes(self.world, driving, [row for row, vehicle in enumerate(driving.ids) if vehicle in concerned])
+        self._asked = {driving.ids[row] for row in wanted.askers}
+        for row, asker in wanted.askers.items():
             values[row, COLUMN["asker"]] = numbers[asker]
-        row_of = dict(zip(number, range(count), strict=True))
-        return Moment(self.count, time, driving.ids, driving.leader, row_of, values, changes)
+        for row, (target, gap) in wanted.targets.items():
+            values[row, [COLUMN["target"], COLUMN["target_gap"]]] = numbers[target], gap
+        row_of = {numbers[vehicle]: row for row, vehicle in enumerate(driving.ids)}
+        limits = self.world.limits(self.stretch.names)
+        return Moment(self.count, time, driving.ids, driving.leader, row_of, values, changes, limits)
 
     def _mark(self, moment: Moment, before: Moment | None, driving: Driving, change: Change) -> None:
         """What a lane change did to who drives behind it now, and whether it was made for somebody."""

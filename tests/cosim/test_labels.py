@@ -35,9 +35,11 @@ def nothing() -> Told:
         v_next=values + 0.4,
         free=values + 0.4,
         behind=np.full((1, 3, T), np.inf),
+        beside=np.full((1, 3, T), np.inf),
         noise=np.full((1, 3, T), 0.6),
         leader=nobody,
         asker=nobody,
+        target=nobody,
         gave_way=np.zeros((1, 3, T), bool),
         cut=nobody,
         room=np.full((1, 3, T), np.inf),
@@ -105,7 +107,28 @@ def test_who_slows_for_somebody_that_asks_yields():
     assert rule(asked)[0, 1].tolist() == [NONE] * 5 + [YIELD] * 2 + [NONE] * 13
 
 
-def test_who_slows_for_its_own_lane_change_neither_yields_nor_follows():
+def test_who_slows_to_fit_in_behind_its_target_follows_it():
+    told = nothing()
+    braking = replace(told, v_next=at(told.v_next, 0, slice(4, 9), 9.6), target=at(told.target, 0, slice(None), 12))
+    fitting = replace(braking, beside=at(told.beside, 0, slice(None), 9.0))
+    expected = [NONE] * 4 + [FOLLOW] * 5 + [NONE] * 11
+    assert rule(fitting)[2, 0].tolist() == expected
+    assert gold(fitting, told.v * 0, told.v * 0)[2, 0].tolist() == expected
+    labels = pair_labels(by_rule(fitting), VEHICLES)
+    assert labels.effect[0, pairs(3).index((2, 0)), 5] == pytest.approx((9.6 - 10.4) / 0.2 + 0.6)
+    # harder than the target asks for, as for the end of the lane
+    assert (rule(braking)[2, 0] == NONE).all()
+    assert (rule(replace(fitting, beside=at(told.beside, 0, slice(None), 9.9)))[2, 0] == NONE).all()
+
+
+def test_who_is_held_by_its_own_leader_follows_that_one_and_not_its_target():
+    told = bound(nothing(), 0, 11)
+    both = replace(told, target=at(told.target, 0, slice(None), 12), beside=at(told.beside, 0, slice(None), 9.8))
+    assert (rule(both)[1, 0] == FOLLOW).all()
+    assert (rule(both)[2, 0] == NONE).all()
+
+
+def test_who_slows_for_its_own_lane_change_with_nobody_there_neither_yields_nor_follows():
     told = bound(nothing(), 0, 11)
     slower = replace(told, v_next=at(told.v_next, 0, slice(None), 9.5))
     assert all((types == NONE).all() for types in rule(slower).values())

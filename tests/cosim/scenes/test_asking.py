@@ -2,9 +2,7 @@
 
 import math
 
-import numpy as np
-
-from cosim.scenes.asking import askers, now_behind
+from cosim.scenes.asking import now_behind, wishes
 from cosim.snapshot import Driving, LaneChange
 from cosim.sumo import Sumo
 
@@ -39,7 +37,7 @@ def driving(v: dict[str, float] | None = None, leader: dict[str, str] | None = N
 
 
 def asked(world: World, traffic: Driving | None = None) -> dict[int, str]:
-    return askers(world, traffic or driving(), [0, 1], np.zeros(4))
+    return wishes(world, traffic or driving(), [0, 1]).askers
 
 
 def test_who_urgently_wants_in_asks_who_blocks_it_from_behind():
@@ -48,7 +46,7 @@ def test_who_urgently_wants_in_asks_who_blocks_it_from_behind():
     assert asked(World(near, m=WISH)) == {}
     assert asked(World(near, m=(WISH | FOLLOWER) & ~int(LaneChange.URGENT))) == {}
     assert asked(World(near, m=FOLLOWER)) == {}
-    assert askers(World(near, m=WISH | FOLLOWER), driving(), [1], np.zeros(4)) == {}
+    assert wishes(World(near, m=WISH | FOLLOWER), driving(), [1]).askers == {}
 
 
 def test_a_slower_one_ahead_is_asked_to_be_overtaken():
@@ -57,11 +55,18 @@ def test_a_slower_one_ahead_is_asked_to_be_overtaken():
     assert asked(world, driving({"l": 12.0})) == {}
 
 
-def test_who_helps_somebody_near_may_ask_too():
-    near = {("m", False): ("f", 5.0), ("n", False): ("l", 3.0)}
-    world = World(near, m=WISH | FOLLOWER, n=WISH | FOLLOWER)
-    assert askers(world, driving(), [0], np.zeros(4)) == {2: "m", 3: "n"}
-    assert askers(world, driving(), [0], np.array([0.0, 50.0, 0.0, 0.0])) == {2: "m"}
+def test_who_is_asked_may_ask_too():
+    world = World({("m", False): ("n", 5.0), ("n", False): ("l", 3.0)}, m=WISH | FOLLOWER, n=WISH | FOLLOWER)
+    assert wishes(world, driving(), [0]).askers == {1: "m", 3: "n"}
+    assert wishes(world, driving(), []).askers == {}
+
+
+def test_who_urgently_wants_in_has_a_target_ahead_blocked_or_not():
+    near = {("m", True): ("l", 5.0), ("m", False): ("f", 4.0)}
+    for state in (WISH, WISH | FOLLOWER, WISH | LEADER):
+        assert wishes(World(near, m=state), driving({"l": 12.0}), [0, 1]).targets == {0: ("l", 5.0)}
+    assert wishes(World(near, m=WISH & ~int(LaneChange.URGENT)), driving(), [0, 1]).targets == {}
+    assert wishes(World({}, m=WISH), driving(), [0, 1]).targets == {}
 
 
 def test_of_two_who_ask_the_nearer_counts():
