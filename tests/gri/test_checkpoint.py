@@ -106,7 +106,14 @@ def test_tensors_of_another_size_are_named(saved: tuple[Path, RelationalModel]):
 
 
 @pytest.mark.parametrize(
-    "name", ["us101_car_following", "us101_car_following_supervised", "us101_merge", "us101_merge_supervised"]
+    "name",
+    [
+        "us101_car_following",
+        "us101_car_following_supervised",
+        "us101_merge",
+        "us101_merge_nri",
+        "us101_merge_supervised",
+    ],
 )
 def test_released_checkpoints_load_and_are_small(name: str):
     path = resources.checkpoint(name)
