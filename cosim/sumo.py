@@ -125,9 +125,7 @@ class Sumo:
         on = [libsumo.lane.getLastStepVehicleIDs(lane) for lane in lanes]
         ids = [v for of_lane in on for v in of_lane]
         position = [*map(_position, ids)]
-        leader = [
-            v for of_lane in on if of_lane for v in (*of_lane[1:], "")
-        ]  # who is ahead comes later
+        leader = [v for of_lane in on if of_lane for v in (*of_lane[1:], "")]  # who is ahead comes later
         ahead, length, least = [*position[1:], 0.0], self._lengths, self._least_gaps
         gap = [
             p - length[other] - own - least[v] if other else math.inf

@@ -15,6 +15,7 @@ from gri.data.ngsim.extract import scene_file
 from gri.data.recorded import recorded_scenes
 from gri.data.recorded_ranges import RECORDED
 from gri.data.store import Splits, recorded_splits, scenes_of, scenes_path
+from gri.data.synthetic_file import write_synthetic
 from gri.display import Bar, console, next_command
 from gri.errors import InputError
 from gri.evaluate import Evaluation, believed, evaluate
@@ -37,12 +38,22 @@ SCENES = Path("runs/scenes")
 
 
 @app.command()
-def data(config: ConfigArgument, scenes: ScenesOption = SCENES) -> None:
+def data(
+    config: ConfigArgument,
+    scenes: ScenesOption = SCENES,
+    scene_file: Annotated[
+        Path | None,
+        typer.Option(help="Write them to this scene file as well, to be mixed with SUMO's and recorded ones."),
+    ] = None,
+) -> None:
     """1. Make the scenes of a configuration with an expert trained on the true reward."""
     chosen = _read(config)
     splits = _scenes(chosen, scenes)
     sizes = f"{len(splits.train)} + {len(splits.validation)} + {len(splits.test)}"
     console.print(f"{sizes} scenes in {scenes_path(chosen.data, scenes)}")
+    if scene_file is not None:
+        write_synthetic(scene_file, chosen.data, splits)
+        console.print(f"and in {scene_file}", soft_wrap=True)
     next_command(f"gri train {config}")
 
 

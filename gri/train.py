@@ -24,10 +24,11 @@ from gri.objectives.gri import GroundedSettings, train_grounded
 from gri.objectives.nri import NriSettings, train_nri
 from gri.objectives.recorded import RecordedSettings, train_recorded
 from gri.objectives.supervised import SupervisedSettings, train_supervised
+from gri.objectives.told import ToldSettings, train_told
 from gri.progress import Progress, silent
 from gri.rewards import ShapedReward, StructuredReward
 
-Objective = GroundedSettings | RecordedSettings | AdversarialSettings | NriSettings | SupervisedSettings
+Objective = GroundedSettings | RecordedSettings | ToldSettings | AdversarialSettings | NriSettings | SupervisedSettings
 
 
 class TrainConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -93,6 +94,9 @@ def train(config: TrainConfig, splits: Splits, seed: int, progress: Progress = s
         case RecordedSettings() as settings:
             reward = StructuredReward(scenes.reward)
             train_recorded(model, reward, splits.train, settings, seed, progress)
+        case ToldSettings() as settings:
+            reward = StructuredReward(scenes.reward)
+            train_told(model, reward, splits.train, settings, seed, progress)
         case NriSettings() as settings:
             train_nri(model, splits.train, settings, seed, progress)
         case AdversarialSettings(rewards="networks") as settings:
