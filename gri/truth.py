@@ -18,8 +18,8 @@ class BesideTruth:
     """Accuracies over all six edges, and who is taken for what."""
 
     accuracy: dict[str, Summary]
-    """Of inferred graphs and of the hypothesis."""
-    confusion: Int[Tensor, "K K"]
+    """Of inferred graphs, of the hypothesis, and of the graph that has the most frequent type of every edge."""
+    confusion: dict[str, Int[Tensor, "K K"]]
     """Edges by true type (row) and inferred type (column)."""
 
 
@@ -30,19 +30,22 @@ def beside_truth(
     unambiguous: Bool[Tensor, " S"],
 ) -> BesideTruth:
     """Compare graphs, also on those scenes alone whose one graph says all that their steps say."""
-    pairs = {
-        "inferred, truth": (inferred, true),
-        "inferred, hypothesis": (inferred, hypothesis),
-        "hypothesis, truth": (hypothesis, true),
-    }
-    accuracy = {name: metrics.summary(metrics.accuracy(*both)) for name, both in pairs.items()}
-    if bool(unambiguous.any()):
-        for name, (one, other) in pairs.items():
-            right = metrics.accuracy(one[unambiguous], other[unambiguous])
-            accuracy[f"{name}, {int(unambiguous.sum())} unambiguous scenes"] = metrics.summary(right)
     kinds = int(torch.stack([inferred, true]).max()) + 1
-    counts = torch.bincount((true * kinds + inferred).flatten(), minlength=kinds * kinds)
-    return BesideTruth(accuracy, counts.reshape(kinds, kinds))
+    accuracy, confusion = {}, {}
+    for which, chosen in {"": torch.ones_like(unambiguous), _CLEAR: unambiguous}.items():
+        count = int(chosen.sum())
+        if not count:
+            continue
+        name = which.format(count)
+        i, t, h = inferred[chosen], true[chosen], hypothesis[chosen]
+        pairs = {"inferred, truth": (i, t), "inferred, hypothesis": (i, h), "hypothesis, truth": (h, t)}
+        pairs["most frequent, truth"] = t.mode(0).values.expand_as(t), t
+        accuracy |= {f"{what}{name}": metrics.summary(metrics.accuracy(*both)) for what, both in pairs.items()}
+        confusion[name] = torch.bincount((t * kinds + i).flatten(), minlength=kinds * kinds).reshape(kinds, kinds)
+    return BesideTruth(accuracy, confusion)
+
+
+_CLEAR = ", {} unambiguous scenes"
 
 
 def truth_tables(found: BesideTruth, vocabulary: Vocabulary) -> Iterator[Table]:
@@ -51,8 +54,9 @@ def truth_tables(found: BesideTruth, vocabulary: Vocabulary) -> Iterator[Table]:
     for name, value in found.accuracy.items():
         accuracy.add_row(name, str(value), f"{value.half_width:.4f}")
     yield accuracy
-    names = [str(kind) for kind in vocabulary[: len(found.confusion)]]
-    confusion = Table("true, inferred as", *names, title="Edges by type")
-    for name, row in zip(names, found.confusion.tolist(), strict=True):
-        confusion.add_row(name, *map(str, row))
-    yield confusion
+    for name, counts in found.confusion.items():
+        names = [str(kind) for kind in vocabulary[: len(counts)]]
+        confusion = Table("true, inferred as", *names, title=f"Edges by type{name}")
+        for kind, row in zip(names, counts.tolist(), strict=True):
+            confusion.add_row(kind, *map(str, row))
+        yield confusion

@@ -23,13 +23,15 @@ def test_accuracies_and_confusion_by_hand():
     assert means["inferred, hypothesis"] == pytest.approx(11 / 12)
     assert means["hypothesis, truth"] == pytest.approx(11 / 12)
     assert means["inferred, truth, 1 unambiguous scenes"] == 1
-    assert found.confusion.tolist() == [[7, 2], [0, 3]]
-    assert [table.row_count for table in truth_tables(found, FOLLOWING)] == [6, 2]
+    assert means["most frequent, truth"] == pytest.approx(11 / 12)
+    assert found.confusion[""].tolist() == [[7, 2], [0, 3]]
+    assert found.confusion[", 1 unambiguous scenes"].tolist() == [[4, 0], [0, 2]]
+    assert [table.row_count for table in truth_tables(found, FOLLOWING)] == [8, 2, 2]
 
 
 def test_without_unambiguous_scenes_only_all_are_compared():
     types = torch.zeros(2, 6, dtype=torch.int64)
-    assert len(beside_truth(types, types, types, torch.tensor([False, False])).accuracy) == 3
+    assert len(beside_truth(types, types, types, torch.tensor([False, False])).accuracy) == 4
 
 
 def test_a_released_model_is_scored_on_scenes_of_sumo(tmp_path: Path, capsys, monkeypatch):
