@@ -227,7 +227,7 @@ def prepared(scenario: Scenario) -> Scenario:
 @contextmanager
 def simulation(scenario: Scenario, files: Files) -> Iterator[RunningRoad]:
     """Start SUMO and check the scenario against its net."""
-    files.signs.write_text(sign_file(scenario.traffic, scenario.seed, scenario.traffic.warm_up + scenario.time_limit))
+    files.signs.write_text(sign_file(scenario.traffic))
     paths = (str(path) for path in (files.net, files.routes, files.signs, files.log))
     with sumo(arguments(scenario, *paths), files.log) as world:
         known = world.edges()

@@ -62,30 +62,11 @@ class Flow(Spec, frozen=True, kw_only=True):
     lanes: Annotated[tuple[Annotated[int, Meta(ge=0)], ...], Meta(min_length=1)]
 
 
-class Waves(Spec, frozen=True, kw_only=True):
-    """How the limits of a bottleneck waver, each lane's on its own, so that waves run upstream.
-
-    An Ornstein-Uhlenbeck process with standard deviation `sd` [m/s] (of each lane, or one for all) and correlation time
-    `time` [s] is added to the limits every `every` [s]; no limit falls below `least` [m/s].
-    """
-
-    sd: Annotated[tuple[NonNegative, ...], Meta(min_length=1)]
-    time: Positive = 30.0
-    every: Positive = 5.0
-    least: Positive = 0.5
-
-
 class Bottleneck(Spec, frozen=True, kw_only=True):
     """The downstream cause of congestion: speed limits [m/s] of some lanes, one per demand interval; the last lasts."""
 
     lanes: Annotated[tuple[str, ...], Meta(min_length=1)]
     limits: Annotated[tuple[Positive, ...], Meta(min_length=1)]
-    waves: Waves | None = None
-
-    def __post_init__(self) -> None:
-        if self.waves is not None and len(self.waves.sd) not in (1, len(self.lanes)):
-            wanted = f"expected 1 or one per lane, {len(self.lanes)}"
-            raise ValueError(f"waves.sd has {len(self.waves.sd)} numbers, {wanted}")
 
 
 class Targets(Spec, frozen=True, kw_only=True):

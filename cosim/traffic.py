@@ -6,10 +6,8 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from cosim.demand import Bottleneck, Flow, Traffic, VehicleClass, Waves
+from cosim.demand import Flow, Traffic, VehicleClass
 from cosim.scenario import Scenario
-
-WAVES = 1_000_000  # branch of the seed for the bottleneck's waves; classes and flows have the branches from 0 on
 
 
 def route_file(traffic: Traffic, seed: int, end: float) -> str:
@@ -34,37 +32,20 @@ def route_file(traffic: Traffic, seed: int, end: float) -> str:
     return "\n".join(["<routes>", *lines, "</routes>", ""])
 
 
-def sign_file(traffic: Traffic, seed: int, end: float) -> str:
-    """SUMO additional file: the bottleneck's variable speed signs until `end` [s], if it has one.
+def sign_file(traffic: Traffic) -> str:
+    """SUMO additional file: the bottleneck's variable speed sign, or nothing.
 
     SUMO changes the limits by itself, so that whoever shares or replays the past shares them (doc: VSS).
     """
     lines = []
-    if (bottleneck := traffic.bottleneck) is not None:
-        if bottleneck.waves is None:
-            limits = {bottleneck.lanes: [(k * traffic.interval, x) for k, x in enumerate(bottleneck.limits)]}
-        else:
-            limits = _wavering(bottleneck, bottleneck.waves, traffic.interval, seed, end)
-        for number, (lanes, steps) in enumerate(limits.items()):
-            lines.append(f'    <variableSpeedSign id="bottleneck{number}" lanes={quoteattr(" ".join(lanes))}>')
-            lines += [f'        <step time="{time:g}" speed="{limit:.4g}"/>' for time, limit in steps]
-            lines.append("    </variableSpeedSign>")
+    if traffic.bottleneck is not None:
+        steps = (
+            f'        <step time="{k * traffic.interval:g}" speed="{limit:g}"/>'
+            for k, limit in enumerate(traffic.bottleneck.limits)
+        )
+        lanes = quoteattr(" ".join(traffic.bottleneck.lanes))
+        lines = [f'    <variableSpeedSign id="bottleneck" lanes={lanes}>', *steps, "    </variableSpeedSign>"]
     return "\n".join(["<additional>", *lines, "</additional>", ""])
-
-
-def _wavering(
-    bottleneck: Bottleneck, waves: Waves, interval: float, seed: int, end: float
-) -> dict[tuple[str, ...], list[tuple[float, float]]]:
-    """(time, limit) of each lane: the exact discretisation of the process, begun in its stationary distribution."""
-    times = np.arange(0.0, end, waves.every)
-    which = np.minimum(times // interval, len(bottleneck.limits) - 1).astype(int)
-    rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=(WAVES,)))
-    noise = rng.standard_normal((len(times), len(bottleneck.lanes)))
-    kept = np.exp(-waves.every / waves.time)
-    for k in range(1, len(times)):
-        noise[k] = kept * noise[k - 1] + np.sqrt(1 - kept**2) * noise[k]
-    limits = np.maximum(np.array(bottleneck.limits)[which, None] + noise * np.array(waves.sd), waves.least)
-    return {(lane,): list(zip(times, limits[:, i], strict=True)) for i, lane in enumerate(bottleneck.lanes)}
 
 
 def _standard_normal(rng: np.random.Generator, n: int) -> np.ndarray:

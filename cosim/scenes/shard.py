@@ -88,7 +88,7 @@ def running(scenario: Scenario, net: Path, folder: Path, end: float) -> Iterator
     traffic = perturbed_traffic(scenario).traffic
     routes, signs, log = (folder / name for name in ("routes.rou.xml", "routes.signs.xml", "sumo.log"))
     routes.write_text(route_file(traffic, scenario.seed, end))
-    signs.write_text(sign_file(traffic, scenario.seed, end))
+    signs.write_text(sign_file(traffic))
     with sumo(arguments(scenario, *map(str, (net, routes, signs, log))), log) as world:
         yield world
 

@@ -4,13 +4,10 @@ from collections import Counter
 from xml.etree import ElementTree
 
 import msgspec
-import numpy as np
 import pytest
-from msgspec.structs import replace
 
-from cosim.demand import Bottleneck, Waves
 from cosim.loading import load_scenario
-from cosim.traffic import arguments, route_file, sign_file
+from cosim.traffic import arguments, route_file
 
 
 @pytest.fixture(scope="module")
@@ -71,51 +68,3 @@ def test_arguments_are_plain_tokens(scenario):
     assert options["--step-length"] == "0.2"
     changed = msgspec.structs.replace(scenario, seed=9)
     assert "9" in arguments(changed, "a", "b", "s", "c")
-
-
-def limits_of(traffic, seed, end):
-    """Lanes of each sign → its limits, and the times of the last sign."""
-    signs = ElementTree.fromstring(sign_file(traffic, seed, end)).findall("variableSpeedSign")
-    found = {sign.get("lanes"): [float(step.get("speed")) for step in sign] for sign in signs}
-    return found, [float(step.get("time")) for step in signs[-1]]
-
-
-def test_a_steady_bottleneck_has_one_sign_with_a_limit_per_interval(scenario):
-    limits, times = limits_of(scenario.traffic, seed=1, end=900.0)
-    bottleneck = scenario.traffic.bottleneck
-    assert limits == {" ".join(bottleneck.lanes): list(bottleneck.limits)}
-    assert times == [0, 300, 600, 900, 1200, 1500]
-
-
-def test_waves_have_the_spread_and_the_memory_they_should(scenario):
-    """Standard deviation and autocorrelation exp(-lag / time) of each lane; the lanes do not know of each other."""
-    bottleneck = Bottleneck(lanes=("a", "b"), limits=(20.0,), waves=Waves(sd=(1.0, 3.0), time=30.0, every=5.0))
-    limits, times = limits_of(replace(scenario.traffic, bottleneck=bottleneck), seed=1, end=200_000.0)
-    assert times[:3] == [0, 5, 10]
-    a, b = np.array(limits["a"]), np.array(limits["b"])
-    assert (a.std(), b.std()) == (pytest.approx(1, rel=0.05), pytest.approx(3, rel=0.05))
-    assert (a.mean(), b.mean()) == (pytest.approx(20, abs=0.1), pytest.approx(20, abs=0.2))
-    assert np.corrcoef(b[6:], b[:-6])[0, 1] == pytest.approx(np.exp(-1), abs=0.05)
-    assert abs(np.corrcoef(a, b)[0, 1]) < 0.05
-
-
-def test_waves_follow_the_intervals_and_stay_above_the_least_limit(scenario):
-    bottleneck = Bottleneck(lanes=("a",), limits=(5.0, 25.0), waves=Waves(sd=(4.0,), least=1.0))
-    limits, _ = limits_of(replace(scenario.traffic, bottleneck=bottleneck), seed=2, end=600.0)
-    first, second = np.split(np.array(limits["a"]), 2)
-    assert first.min() == 1.0
-    assert second.mean() - first.mean() > 10
-
-
-def test_waves_depend_on_the_seed_and_begin_alike_however_long(scenario):
-    waving = replace(scenario.traffic, bottleneck=replace(scenario.traffic.bottleneck, waves=Waves(sd=(2.0,))))
-    long, _ = limits_of(waving, seed=1, end=600.0)
-    short, times = limits_of(waving, seed=1, end=300.0)
-    other, _ = limits_of(waving, seed=2, end=300.0)
-    assert {lane: values[: len(times)] for lane, values in long.items()} == short
-    assert other != short
-
-
-def test_waves_want_one_number_or_one_per_lane():
-    with pytest.raises(ValueError, match=r"waves\.sd has 2 numbers, expected 1 or one per lane, 3"):
-        Bottleneck(lanes=("a", "b", "c"), limits=(10.0,), waves=Waves(sd=(1.0, 2.0)))
