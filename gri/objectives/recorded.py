@@ -4,6 +4,8 @@ The references h of the reward are fitted with its weights: the likelihood of th
 graphs, is expanded anew at every update. Graph and policy are then learned as from any other reward.
 """
 
+from collections.abc import Iterator
+
 import msgspec
 import torch
 from jaxtyping import Bool, Float
@@ -31,6 +33,11 @@ class RecordedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     """Of weights and α."""
     reference_rate: float = 3e-3
     reward_batch: int = 24
+    speed_bin: float | None = None
+    """Draw the reward's scenes evenly over ranges of mean speed so wide [m/s]; None: as they come.
+
+    Recorded traffic is mostly slow, and references that fit slow traffic take fast vehicles for unrelated ones.
+    """
     log_alpha: float = -1.5
     """Logarithm of the drivers' rationality before training; people are less exact than 0 would have them."""
 
@@ -70,7 +77,7 @@ def fit_references(
     reward.log_alpha.data.fill_(settings.log_alpha)
     to_references = Descent(reward.references.parameters(), settings.reference_rate, total, clip=1.0)
     to_weights = Descent([*reward.psi.parameters(), reward.log_alpha], settings.reward_rate, total, clip=1.0)
-    for update, chosen in enumerate(batches(len(scenes), settings.reward_batch, total, generator)):
+    for update, chosen in enumerate(_batches(model, scenes, settings, generator)):
         batch = scenes[chosen]
         likelihood = log_likelihood_by_steps(reward, expand_steps(model, reward, batch.state, batch.action, learn=True))
         prior = recorded_prior(reward, batch.state, grounded)
@@ -79,6 +86,27 @@ def fit_references(
         to_weights.step(-evidence)
         to_references.apply(gradients)
         progress("reward and references", update + 1, total, float(evidence.detach()))
+
+
+def _batches(
+    model: RelationalModel, scenes: Scenes, settings: RecordedSettings, generator: torch.Generator
+) -> Iterator[Tensor]:
+    """Indices of one random batch per update of the reward."""
+    if settings.speed_bin is None:
+        return batches(len(scenes), settings.reward_batch, settings.reward_updates, generator)
+    weight = even_weights(scenes.state[:, :-1, :, model.dynamics.speed].mean((1, 2)), settings.speed_bin)
+    drawn = torch.multinomial(weight, settings.reward_batch * settings.reward_updates, True, generator=generator)
+    return iter(drawn.split(settings.reward_batch))
+
+
+def even_weights(speed: Float[Tensor, " S"], width: float) -> Float[Tensor, " S"]:
+    """How often scenes are drawn so that each range of speeds counts alike; ranges with fewer than `FEW` count less."""
+    bins = (speed / width).long()
+    return 1 / bins.bincount()[bins].clamp(min=FEW).to(speed.dtype)
+
+
+FEW = 20
+"""Scenes of a rare speed weigh as if there were so many."""
 
 
 def recorded_prior(

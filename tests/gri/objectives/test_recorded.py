@@ -64,6 +64,31 @@ def test_the_likelihood_rises():
     assert heights[-1] > heights[0] + 1
 
 
+def test_rare_speeds_are_drawn_as_often_as_frequent_ones():
+    speed = torch.cat([torch.full((80,), 3.0), torch.full((40,), 9.0), torch.full((5,), 17.0)])
+    weight = recorded.even_weights(speed, width=2.0)
+    share = [float(weight[speed == v].sum()) for v in (3.0, 9.0, 17.0)]
+    assert share == pytest.approx([1.0, 1.0, 5 / recorded.FEW])
+
+
+def test_scenes_of_all_speeds_make_the_reward(monkeypatch: pytest.MonkeyPatch):
+    data = scenes(100)
+    data.state[30:, :, :, 1] -= 6.0
+    seen, expand = [], recorded.expand_steps
+
+    def expanded(lent, reward, state, *rest, **options):
+        seen.append(state[:, 0, 0, 1] > 6)
+        return expand(lent, reward, state, *rest, **options)
+
+    monkeypatch.setattr(recorded, "expand_steps", expanded)
+    for width, fast in ((None, 0.3), (2.0, 0.5)):
+        seen.clear()
+        settings = RecordedSettings(grounded=SMALL.grounded, reward_updates=1, reward_batch=400, speed_bin=width)
+        reward = StructuredReward(NGSIM_CAR_FOLLOWING.reward)
+        fit_references(model(), reward, data, settings, torch.Generator().manual_seed(0))
+        assert float(seen[0].float().mean()) == pytest.approx(fast, abs=0.1)
+
+
 def test_all_stages_run_and_repeat():
     results = []
     for _ in range(2):
