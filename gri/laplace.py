@@ -173,10 +173,19 @@ def scene_prior(
 
 
 def combination_prior(reward: StructuredReward, prior: Float[Tensor, "B E K"], driven: int) -> Float[Tensor, "B R C"]:
-    """log p(z_j) of every combination of the edges that enter each driven vehicle."""
+    """log p(z_j) of every combination of the edges that enter each driven vehicle.
+
+    Types less probable than `LEAST` are ruled out: over a scene, likelihoods differ by hundreds of nats.
+    """
     n = agents_of(prior.shape[1])
     incoming = torch.tensor([[pairs(n).index((i, j)) for i in range(n) if i != j] for j in range(driven)])
-    return torch.einsum("brsk,csk->brc", prior[:, incoming].log(), combinations(reward, n - 1)[1])
+    logs = torch.where(prior < LEAST, NEVER, prior.log())
+    return torch.einsum("brsk,csk->brc", logs[:, incoming], combinations(reward, n - 1)[1])
+
+
+LEAST = 1e-30
+NEVER = -1e5
+"""Logarithm of the probability of what is ruled out: finite, and out of reach of any likelihood [nats]."""
 
 
 def edge_posterior(

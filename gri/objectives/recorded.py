@@ -123,7 +123,8 @@ def recorded_prior(
     lane = same_lane(reward, state)
     if grounded.ahead_only:
         next_ahead = preceding(state[:, :, -1, 0], lane)[:, senders, receivers]
-        prior[..., 1:] = prior[..., 1:].masked_fill(~next_ahead[..., None], 1e-12)
+        unlikely = IMPOSSIBLE if EdgeType.YIELD in reward.vocabulary else 1e-12
+        prior[..., 1:] = prior[..., 1:].masked_fill(~next_ahead[..., None], unlikely)
     if EdgeType.YIELD in reward.vocabulary:
         together = lane[:, senders, receivers]
         for kind, excluded in ((EdgeType.FOLLOW, ~together), (EdgeType.YIELD, together)):

@@ -11,6 +11,7 @@ from gri.laplace import (
     edge_prior,
     expand,
     log_likelihood,
+    marginals,
     scene_prior,
     sensitivities,
 )
@@ -136,6 +137,18 @@ def test_combinations_enumerate_all_incoming_edges():
     assert masks.shape == (4, 7)
     assert masks[0].tolist() == [1, 1, 1, 0, 0, 0, 0]
     assert types.argmax(-1).tolist() == [[0, 0], [0, 1], [1, 0], [1, 1]]
+
+
+def test_no_likelihood_makes_up_for_what_is_ruled_out():
+    reward = StructuredReward(REWARD)
+    prior = torch.tensor([[[0.5, 0.5]] * 6])
+    edge = pairs(3).index((2, 0))
+    prior[0, edge] = torch.tensor([1.0, 1e-37])
+    follows = combinations(reward, 2)[1][..., 1]  # of both senders, in every combination
+    likelihood = (1000.0 * follows.sum(-1)).expand(1, 2, -1)
+    posterior = marginals(reward, likelihood, prior)[0, :, 1]
+    assert posterior[edge] == 0
+    assert posterior[pairs(3).index((1, 0))] == 1
 
 
 def test_with_ahead_only_nobody_follows_a_vehicle_behind(generator: torch.Generator):
