@@ -29,7 +29,7 @@ def car_following(
     between = np.abs(ahead[:, :pairs] - rows[:, 1 : pairs + 1]).max(axis=1)  # 0: the next one ahead is the right one
     return [
         Ending.LANE_LEFT if moved > SAME_LANE else Ending.CUT_IN if others else None
-        for moved, others in zip(sideways, between, strict=True)
+        for moved, others in zip(sideways.tolist(), between.tolist(), strict=True)
     ]
 
 

@@ -48,12 +48,20 @@ class RoadFrame:
         assert (length > 0).all(), "the reference line has a repeated point"
         return self.points[:-1], delta / length[:, None], np.concatenate([[0.0], np.cumsum(length)])
 
+    @cached_property
+    def _sideways(self) -> tuple[np.ndarray, np.ndarray]:
+        """Unit vector to the left and heading of each segment."""
+        forward = self._segments[1]
+        return np.stack([-forward[:, 1], forward[:, 0]], axis=1), np.arctan2(forward[:, 1], forward[:, 0])
+
     def to_road(self, xy: Float[np.ndarray, "V 2"]) -> tuple[Float[np.ndarray, " V"], Float[np.ndarray, " V"]]:
         """Coordinates (s, d) of world points."""
         start, direction, arc = self._segments
-        relative = xy[:, None, :] - start[None]  # Shape: (V, M-1, 2)
-        along = (relative * direction).sum(-1)
-        across = direction[None, :, 0] * relative[..., 1] - direction[None, :, 1] * relative[..., 0]
+        x, y = (xy[:, axis, None] - start[:, axis] for axis in (0, 1))  # Shape: (V, M-1)
+        along = x * direction[:, 0] + y * direction[:, 1]
+        across = direction[:, 0] * y - direction[:, 1] * x
+        if len(direction) == 1:
+            return along[:, 0] - self.origin, across[:, 0]
         low, high = np.zeros(len(direction)), np.diff(arc)
         low[0], high[-1] = -np.inf, np.inf
         overshoot = along - np.clip(along, low, high)
@@ -66,19 +74,19 @@ class RoadFrame:
     ) -> tuple[Float[np.ndarray, "V 2"], Float[np.ndarray, " V"]]:
         """World points at road coordinates, and the heading of the road there [rad]."""
         start, direction, arc = self._segments
+        left, heading = self._sideways
         segment = self._segment_at(s)
-        forward = direction[segment]
-        left = np.stack([-forward[:, 1], forward[:, 0]], axis=1)
         along = (s + self.origin - arc[segment])[:, None]
-        return start[segment] + along * forward + d[:, None] * left, self.heading_at(s)
+        return start[segment] + along * direction[segment] + d[:, None] * left[segment], heading[segment]
 
     def heading_at(self, s: Float[np.ndarray, " V"]) -> Float[np.ndarray, " V"]:
         """Heading of the road [rad]."""
-        forward = self._segments[1][self._segment_at(s)]
-        return np.arctan2(forward[:, 1], forward[:, 0])
+        return self._sideways[1][self._segment_at(s)]
 
     def _segment_at(self, s: Float[np.ndarray, " V"]) -> Int[np.ndarray, " V"]:
         _, direction, arc = self._segments
+        if len(direction) == 1:
+            return np.zeros(len(s), dtype=int)
         return np.clip(np.searchsorted(arc, s + self.origin, side="right") - 1, 0, len(direction) - 1)
 
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence, Set
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import torch
 from jaxtyping import Bool, Float
 
 from cosim.episode import COLUMNS
@@ -80,7 +81,7 @@ class Intervention:
     def signals(self, layout: Layout, history: Sequence[Frame]) -> Signals | None:
         """The perturbed channels of this round; None where they are as they are."""
         names = tuple(" ".join(group.ids) for group in self.task.groups)
-        past = tuple(layout.states(frame.state) for frame in history[:-1])
+        past = tuple(torch.from_numpy(layout.states(frame.state)) for frame in history[:-1])
         setting = Setting(layout.dynamics, self.task.dt, self.task.driven, self.seed, names, past)
         return signals(self.perturbations, setting)
 

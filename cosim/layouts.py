@@ -6,9 +6,7 @@ A model state counts every vehicle ahead as `NOMINAL_LENGTH` long (`cosim.frames
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from jaxtyping import Float
-from torch import Tensor
 
 from cosim.episode import COLUMNS
 from cosim.frames import RoadFrame, model_offsets
@@ -42,13 +40,13 @@ class Along:
     lateral: Float[np.ndarray, "G 3"]
     dynamics: Dynamics = POINT_MASS_1D
 
-    def states(self, seen: Float[np.ndarray, "G 3 C"]) -> Float[Tensor, "G 3 3"]:
+    def states(self, seen: Float[np.ndarray, "G 3 C"]) -> Float[np.ndarray, "G 3 3"]:
         """Model states (float64) of vehicles with the features of COLUMNS."""
-        return torch.from_numpy(np.stack([seen[..., _S] + self.offset, seen[..., _V], seen[..., _A]], -1))
+        return np.stack([seen[..., _S] + self.offset, seen[..., _V], seen[..., _A]], -1)
 
-    def pose(self, state: Float[Tensor, "G 3 3"]) -> Pose:
+    def pose(self, state: Float[np.ndarray, "G 3 3"]) -> Pose:
         """Where the dynamics put the vehicles."""
-        x, v, a = np.moveaxis(state.numpy(), -1, 0)
+        x, v, a = (state[..., feature] for feature in range(3))
         return Pose(x - self.offset, self.lateral, np.zeros_like(x), v, a)
 
 
@@ -67,16 +65,16 @@ class InPlane:
     road: RoadFrame
     dynamics: Dynamics = DUBINS
 
-    def states(self, seen: Float[np.ndarray, "G 3 C"]) -> Float[Tensor, "G 3 6"]:
+    def states(self, seen: Float[np.ndarray, "G 3 C"]) -> Float[np.ndarray, "G 3 6"]:
         """Model states (float64) of vehicles with the features of COLUMNS."""
         s = seen[..., _S]
         heading = _wrapped(seen[..., _HEADING] - self.road.heading_at(s.ravel()).reshape(s.shape))
         features = [s + self.offset, seen[..., _D] - self.target, seen[..., _V], heading, seen[..., _A]]
-        return torch.from_numpy(np.stack([*features, np.zeros_like(s)], -1))
+        return np.stack([*features, np.zeros_like(s)], -1)
 
-    def pose(self, state: Float[Tensor, "G 3 6"]) -> Pose:
+    def pose(self, state: Float[np.ndarray, "G 3 6"]) -> Pose:
         """Where the dynamics put the vehicles."""
-        x, y, v, heading, a, _ = np.moveaxis(state.numpy(), -1, 0)
+        x, y, v, heading, a, _ = (state[..., feature] for feature in range(6))
         return Pose(x - self.offset, y + self.target, heading, v, a)
 
 

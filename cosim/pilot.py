@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from cosim.episode import COLUMNS
@@ -17,6 +17,7 @@ from gri.graph import InteractionGraph
 from gri.policy import Policy, PolicyState
 from gri.types import Trajectory
 
+_A = COLUMNS.index("a")
 Overrule = Callable[[InteractionGraph], InteractionGraph]
 
 
@@ -41,6 +42,7 @@ class Pilot:
         assert policy.dynamics.name is layout.dynamics.name, f"cannot drive {policy.dynamics.name} states here"
         self._policy, self._layout, self._dt = policy, layout, dt
         self._owned, self._overrule, self._reinfer, self._signals = list(owned), overrule, reinfer, signals
+        self._mask: tuple[list[int], np.ndarray] | None = None  # active groups, and who is driven in them
         self._window = deque((layout.states(frame.state) for frame in history), policy.history_steps)
         self._state = self._commanded = self._window[-1]
         self._pose = layout.pose(self._commanded)
@@ -51,9 +53,9 @@ class Pilot:
 
     def _begin(self) -> PolicyState:
         """The policy's memory of the window, under the graph that counts."""
-        states = torch.stack(tuple(self._window), dim=2)
+        states = _relative(np.stack(self._window, axis=2))
         with torch.inference_mode():
-            memory = self._policy.begin(Trajectory.complete(_relative(states), self._dt))
+            memory = self._policy.begin(Trajectory.complete(states, self._dt))
             return memory if memory.graph is None else replace(memory, graph=self._overrule(memory.graph))
 
     def _note(self, time: float) -> None:
@@ -66,7 +68,9 @@ class Pilot:
 
     def decide(self, time: float) -> Pose:
         """Ask the policy and move the dynamics one step on: where the vehicles are to be after the next step."""
-        seen = self._state if self._signals is None else self._signals.see(self._steps, self._state)
+        seen = self._state
+        if self._signals is not None:
+            seen = self._signals.see(self._steps, torch.from_numpy(seen)).numpy()
         if self._reinfer and self._steps:
             self._window.append(seen)
         if self._reinfer and self._steps and self._steps % self._reinfer == 0:
@@ -76,30 +80,44 @@ class Pilot:
             action, self._memory = self._policy.act(self._memory, _relative(seen))
             if self._signals is not None:
                 action = self._signals.apply(self._steps, action)
-            following = self._policy.dynamics.step(self._state, action.double(), self._dt)
-            if self._signals is not None:
-                following = self._signals.bound(following)
-            stop = self._policy.dynamics.stop
-            self._commanded = following if stop is None else stop(self._state, following)
+            self._commanded = self._move(action.double()).numpy()
         self._steps += 1
         self._pose = self._layout.pose(self._commanded)
         return self._pose
 
+    def _move(self, action: Float[Tensor, "G 3 A"]) -> Float[Tensor, "G 3 D"]:
+        """The next state by the dynamics, within what the road allows; nobody drives backwards."""
+        dynamics, state = self._policy.dynamics, torch.from_numpy(self._state)
+        following = dynamics.step(state, action, self._dt)
+        if self._signals is not None:
+            following = self._signals.bound(following)
+        if dynamics.stop is None or not (following.numpy()[..., dynamics.speed] < 0).any():  # few ever stand still
+            return following
+        return dynamics.stop(state, following)
+
     def observe(self, frame: Frame, active: Sequence[int]) -> None:
         """Read the world; the vehicles that are driven are where the dynamics put them."""
-        state = self._layout.states(frame.state)
-        driven = np.ix_(np.array(active, dtype=int), np.array(self._owned))
-        state[driven] = self._commanded[driven]
-        self._state = state
+        driven = self._driven(active)[..., None]
+        self._state = np.where(driven, self._commanded, self._layout.states(frame.state))
 
     def stamp(self, frame: Frame, active: Sequence[int]) -> Frame:
         """The frame with the dynamics' acceleration of owned vehicles; SUMO reports the past step's mean instead."""
-        state, driven = frame.state.copy(), np.ix_(np.array(active, dtype=int), np.array(self._owned))
-        state[(*driven, COLUMNS.index("a"))] = self._pose.a[driven]
+        state = frame.state.copy()
+        state[..., _A] = np.where(self._driven(active), self._pose.a, state[..., _A])
         return replace(frame, state=state)
 
+    def _driven(self, active: Sequence[int]) -> Bool[np.ndarray, "G 3"]:
+        """Whose state the policy decides on, of the groups that are driven."""
+        if self._mask is None or self._mask[0] != active:
+            mask = np.zeros(self._state.shape[:2], dtype=bool)
+            mask[np.ix_(active, self._owned)] = True
+            self._mask = list(active), mask
+        return self._mask[1]
 
-def _relative(state: Float[Tensor, "G 3 *T D"]) -> Float[Tensor, "G 3 *T D"]:
+
+def _relative(state: Float[np.ndarray, "G 3 *T D"]) -> Float[Tensor, "G 3 *T D"]:
     """float32 states with x counted from the leader's latest position, where float32 is finest."""
-    latest = state[:, 2:3, ..., 0] if state.dim() == 3 else state[:, 2:3, -1:, 0]
-    return torch.cat([state[..., :1] - latest[..., None], state[..., 1:]], dim=-1).float()
+    latest = state[:, 2:3, 0] if state.ndim == 3 else state[:, 2:3, -1:, 0]
+    counted = state.copy()
+    counted[..., 0] -= latest
+    return torch.from_numpy(counted.astype(np.float32))

@@ -18,6 +18,7 @@ from cosim.sumo import Sumo
 
 PLACEMENT_TOLERANCE = 1e-6  # [m], [m/s]
 HARD_BRAKING = 4.5  # [m/s^2]
+_S, _D, _V = (COLUMNS.index(name) for name in ("s", "d", "v"))
 
 
 @dataclass(frozen=True)
@@ -46,7 +47,7 @@ class Record:
     """The endings and events so far."""
 
     def __init__(self, task: Round, width: Float[np.ndarray, "G 3"]) -> None:
-        self._task, self._width = task, width
+        self._task, self._width, self._owned = task, width, list(task.owned)
         self._inside = np.zeros(len(task.groups), dtype=int)  # steps since vehicle 0 is inside the target lane
         self.endings: dict[int, Ending] = {}
         self.ends: dict[int, float] = {}
@@ -82,15 +83,18 @@ class Record:
 
     def verify(self, frame: Frame, commanded: Pose) -> None:
         """Note every owned vehicle that is gone, or that is not where and as fast as the dynamics say."""
-        wanted = np.stack([commanded.s, commanded.d, commanded.v], -1)
-        seen = frame.state[..., [COLUMNS.index(name) for name in ("s", "d", "v")]]
-        error = np.abs(seen - wanted).max(axis=-1)
+        owned, seen = self._owned, frame.state
+        pairs = ((seen[..., _S], commanded.s), (seen[..., _D], commanded.d), (seen[..., _V], commanded.v))
+        error = np.max([np.abs(there - wanted) for there, wanted in pairs], axis=0)
+        right = frame.valid & (error <= PLACEMENT_TOLERANCE)
+        if right[:, owned].all():
+            return
         for g in self.active:
-            for role in self._task.owned:
+            for role in owned:
                 vehicle = (self._task.groups[g].ids[role],)
                 if not frame.valid[g, role]:
                     self.events[g].append(Event(frame.time, EventKind.VANISHED, vehicle))
-                elif error[g, role] > PLACEMENT_TOLERANCE:
+                elif not right[g, role]:
                     self.events[g].append(Event(frame.time, EventKind.MISPLACED, vehicle, f"by {error[g, role]:.3g}"))
 
     def judge(self, frame: Frame, before: Frame, snapshot: Snapshot, report: StepReport, last: bool) -> None:
@@ -99,20 +103,22 @@ class Record:
         if not active:
             return
         touching = self._contacts(snapshot, frame, report)
+        lost = self._lost(frame, snapshot)
         found = self._endings(frame, before, snapshot)
         for g in active:
-            ending = Ending.CONTACT if g in touching else self._lost(frame, snapshot, g) or found[g]
+            ending = Ending.CONTACT if g in touching else lost.get(g) or found[g]
             if ending is None and last:
                 ending = Ending.LATE if isinstance(self._task.rule, Merge) else Ending.HORIZON
             if ending is not None:
                 self.endings[g], self.ends[g] = ending, frame.time
 
-    def _lost(self, frame: Frame, snapshot: Snapshot, g: int) -> Ending | None:
-        """Whether a vehicle is gone, or a driven one where there is no lane."""
-        if not frame.valid[g].all():
-            return Ending.LOST
-        on_road = all(snapshot.lane[frame.rows[g, role]] for role in self._task.owned)
-        return None if on_road else Ending.OFF_ROAD
+    def _lost(self, frame: Frame, snapshot: Snapshot) -> dict[int, Ending]:
+        """The groups of which a vehicle is gone, or a driven one where there is no lane."""
+        there, rows = np.logical_and.reduce(frame.valid, axis=1).tolist(), frame.rows[:, self._owned].tolist()
+        off_road = {
+            g: Ending.OFF_ROAD for g, owned in enumerate(rows) if there[g] and not all(snapshot.lane[r] for r in owned)
+        }
+        return off_road | {g: Ending.LOST for g, all_there in enumerate(there) if not all_there}
 
     def _endings(self, frame: Frame, before: Frame, snapshot: Snapshot) -> Sequence[Ending | None]:
         """What the rule says of each group, of those that did not end yet."""
@@ -138,16 +144,16 @@ class Record:
 
     def _contacts(self, snapshot: Snapshot, frame: Frame, report: StepReport) -> set[int]:
         """Which groups touch something, by our own test; SUMO's opinion and every disagreement become events."""
-        roles = [0, 1]  # whoever drives them
-        rows = frame.rows[self.active][:, roles][frame.valid[self.active][:, roles]]
+        active, roles = self.active, 2  # 0 and 1, whoever drives them
+        rows = frame.rows[active, :roles][frame.valid[active, :roles]]
         hits = overlaps(snapshot.xy, snapshot.heading, snapshot.length, snapshot.width, rows)
-        ours = {frozenset((snapshot.ids[i], snapshot.ids[j])) for i, j in hits}
+        ours = {frozenset((snapshot.ids[i], snapshot.ids[j])) for i, j in hits.tolist()}
         theirs = {frozenset(pair) for pair in report.collisions}
         if not ours and not theirs and not report.teleported:
             return set()
         touching = set()
-        for g in self.active:
-            members = set(self._task.groups[g].ids[: len(roles)])
+        for g in active:
+            members = set(self._task.groups[g].ids[:roles])
             for kind, pairs in (
                 (EventKind.CONTACT, ours),
                 (EventKind.SUMO_COLLISION, theirs),

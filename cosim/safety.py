@@ -27,8 +27,9 @@ def overlaps(
 
     Touching boxes do not overlap: the test is strict.
     """
-    x, y = box_centre(xy, heading, length).T
-    cos, sin = np.abs(np.cos(heading)), np.abs(np.sin(heading))
+    forward = _direction(heading)
+    x, y = (xy - 0.5 * length[:, None] * forward).T
+    cos, sin = np.abs(forward).T
     reach_x, reach_y = 0.5 * (length * cos + width * sin), 0.5 * (length * sin + width * cos)
     near = np.abs(x - x[rows, None]) < reach_x + reach_x[rows, None]  # Shape: (R, V)
     near &= np.abs(y - y[rows, None]) < reach_y + reach_y[rows, None]

@@ -23,15 +23,19 @@ class Frame:
     @classmethod
     def of(cls, snapshot: Snapshot, groups: Sequence[Group]) -> "Frame":
         """The groups' part of a snapshot; absent vehicles have zeros."""
-        where = {vehicle: row for row, vehicle in enumerate(snapshot.ids)}
-        found = np.array([[where.get(vehicle, -1) for vehicle in group.ids] for group in groups])
-        rows, valid = found.clip(min=0), found >= 0
+        where = snapshot.where
+        found = np.array([where.get(vehicle, -1) for group in groups for vehicle in group.ids]).reshape(-1, 3)
+        valid = found >= 0
+        if not snapshot.ids:  # nobody at all
+            return cls(snapshot.time, np.zeros((*found.shape, len(COLUMNS))), valid, np.zeros_like(found))
+        rows = found.clip(min=0)
         features = {"x": snapshot.xy[:, 0], "y": snapshot.xy[:, 1]}
-        seen = np.zeros((max(len(snapshot.ids), 1), len(COLUMNS)))  # there may be nobody at all
-        for column, name in enumerate(COLUMNS):
-            seen[: len(snapshot.ids), column] = features[name] if name in features else getattr(snapshot, name)
-        return cls(snapshot.time, np.where(valid[..., None], seen[rows], 0.0), valid, rows)
+        seen = np.array([features[name] if name in features else getattr(snapshot, name) for name in COLUMNS])
+        state = np.moveaxis(seen[:, rows], 0, -1)
+        return cls(snapshot.time, state if valid.all() else np.where(valid[..., None], state, 0.0), valid, rows)
 
     def carried_on(self, previous: "Frame") -> "Frame":
         """With the last known state of vehicles that are gone; `valid` keeps saying that they are."""
+        if self.valid.all():
+            return self
         return replace(self, state=np.where(self.valid[..., None], self.state, previous.state))

@@ -6,6 +6,7 @@ Plain values: whoever has them needs no simulation.
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from enum import IntFlag
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -27,10 +28,14 @@ class Snapshot:
     width: Float[np.ndarray, " V"]
     lane: tuple[str, ...]
 
+    @cached_property
+    def where(self) -> dict[str, int]:
+        """Row of every vehicle."""
+        return {vehicle: row for row, vehicle in enumerate(self.ids)}
+
     def rows(self, ids: Sequence[str]) -> dict[str, int]:
         """Row of each id that is present."""
-        where = {vehicle: row for row, vehicle in enumerate(self.ids)}
-        return {vehicle: where[vehicle] for vehicle in ids if vehicle in where}
+        return {vehicle: self.where[vehicle] for vehicle in ids if vehicle in self.where}
 
 
 @dataclass(frozen=True)
@@ -125,7 +130,7 @@ def near(
     """
     ds, dd = np.abs(s - s[rows, None]), np.abs(d - d[rows, None])
     involved = ((ds < 80 + along) & (dd < 2 + across)) | ((ds < 25 + along) & (dd < 6 + across))
-    return np.any(involved, axis=0, keepdims=True)[0]
+    return np.logical_or.reduce(involved, axis=0)
 
 
 def rows_of(ids: Sequence[str], wanted: Iterable[str]) -> Int[np.ndarray, " R"]:

@@ -10,6 +10,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TypeVar
 
 import libsumo
 import numpy as np
@@ -24,11 +25,15 @@ _KEEP_ROUTE_EXACT_POSITION = 3  # moveToXY: keep the route (1) and do not snap t
 _GIVEN_LANE_EXACT_POSITION = 2  # moveToXY: on the edge and lane that the call names, and do not snap to it
 _LOOK_AROUND = 5  # steps between two looks at everybody; nobody comes 30 m nearer to anybody in between
 _TWIN = "twin:"  # prefix of the ids of twins
-_NOWHERE = libsumo.constants.INVALID_DOUBLE_VALUE  # what getters say of a vehicle that is off all lanes
+_NOWHERE = (libsumo.constants.INVALID_DOUBLE_VALUE,) * 2  # where a vehicle is that is off all lanes
 _LEADER_RANGE = 100.0  # [m] within which leaders are told
 
 # libsumo's own functions without their Python wrappers, for what is asked of every vehicle in every step: half the time
-_position, _speed = libsumo._libsumo.vehicle_getLanePosition, libsumo._libsumo.vehicle_getSpeed
+_raw = libsumo._libsumo
+_position, _speed = _raw.vehicle_getLanePosition, _raw.vehicle_getSpeed
+_point, _angle, _acceleration = _raw.vehicle_getPosition, _raw.vehicle_getAngle, _raw.vehicle_getAcceleration
+_lane, _set_speed, _move = _raw.vehicle_getLaneID, _raw.vehicle_setSpeed, _raw.vehicle_moveToXY
+T = TypeVar("T")
 _NATIVE_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
 
 
@@ -44,7 +49,7 @@ class Sumo:
     """The running simulation. Obtained from `sumo(...)` only."""
 
     def __init__(self) -> None:
-        self._sizes: dict[str, tuple[float, float]] = {}
+        self._sizes = _Kept(lambda v: (libsumo.vehicle.getLength(v), libsumo.vehicle.getWidth(v)))
         self._lengths, self._least_gaps = _Kept(libsumo.vehicle.getLength), _Kept(libsumo.vehicle.getMinGap)
         self._modes: dict[str, tuple[int, int]] = {}  # (speed mode, lane-change mode) before take-over
         self._twins: set[str] = set()  # vehicles that have one
@@ -71,32 +76,32 @@ class Sumo:
 
     def snapshot(self, road: RoadFrame, around: Sequence[str] | None = None) -> Snapshot:
         """Read every vehicle on the road network, or only those near the vehicles `around` (see `_near`)."""
-        vehicle = libsumo.vehicle
         if around is None:
-            ids, xy, s, d = self._positions(road, _real(vehicle.getIDList()))
+            ids, xy, s, d = self._positions(road, _real(libsumo.vehicle.getIDList()))
         else:
             ids, xy, s, d = self._positions_around(road, tuple(around))
-        sizes = np.array([self._size(v) for v in ids], dtype=float).reshape(-1, 2)
+        sizes = np.array([self._sizes[v] for v in ids], dtype=float).reshape(-1, 2)
         return Snapshot(
             time=libsumo.simulation.getTime(),
             ids=ids,
             xy=xy,
-            heading=heading_of(np.array([vehicle.getAngle(v) for v in ids], dtype=float)),
-            v=np.array([vehicle.getSpeed(v) for v in ids], dtype=float),
-            a=np.array([vehicle.getAcceleration(v) for v in ids], dtype=float),
+            heading=heading_of(np.array([*map(_angle, ids)], dtype=float)),
+            v=np.array([*map(_speed, ids)], dtype=float),
+            a=np.array([*map(_acceleration, ids)], dtype=float),
             s=s,
             d=d,
             length=sizes[:, 0],
             width=sizes[:, 1],
-            lane=tuple(vehicle.getLaneID(v) for v in ids),
+            lane=tuple(map(_lane, ids)),
         )
 
     def _positions(self, road: RoadFrame, ids: tuple[str, ...]) -> _Positions:
         """Of those that are somewhere: SUMO keeps a vehicle that left all lanes on its list for a few steps."""
-        xy = np.array([libsumo.vehicle.getPosition(v) for v in ids], dtype=float).reshape(-1, 2)
-        if (xy == _NOWHERE).any():
-            there = (xy != _NOWHERE).all(1)
-            ids, xy = tuple(v for v, somewhere in zip(ids, there, strict=True) if somewhere), xy[there]
+        points = [*map(_point, ids)]
+        if _NOWHERE in points:
+            ids = tuple(v for v, point in zip(ids, points, strict=True) if point != _NOWHERE)
+            points = [point for point in points if point != _NOWHERE]
+        xy = np.array(points, dtype=float).reshape(-1, 2)
         return ids, xy, *road.to_road(xy)
 
     def _positions_around(self, road: RoadFrame, around: tuple[str, ...]) -> _Positions:
@@ -114,11 +119,6 @@ class Sumo:
                 return self._positions_around(road, around)
         rows = np.flatnonzero(near(s, d, rows_of(ids, around)))
         return tuple(ids[row] for row in rows), xy[rows], s[rows], d[rows]
-
-    def _size(self, vehicle: str) -> tuple[float, float]:
-        if vehicle not in self._sizes:
-            self._sizes[vehicle] = libsumo.vehicle.getLength(vehicle), libsumo.vehicle.getWidth(vehicle)
-        return self._sizes[vehicle]
 
     def driving(self, lanes: Sequence[str]) -> Driving:
         """Read the vehicles on these lanes and what SUMO says of their drivers; shadows of no kind, no twins."""
@@ -241,9 +241,9 @@ class Sumo:
                 f"refused a non-finite command for {vehicle}: x={x}, y={y}, heading={heading}, speed={speed}"
             )
         edge, _, index = lane.rpartition("_")
-        libsumo.vehicle.setSpeed(vehicle, speed)
+        _set_speed(vehicle, speed)
         mode = _GIVEN_LANE_EXACT_POSITION if lane else _KEEP_ROUTE_EXACT_POSITION
-        libsumo.vehicle.moveToXY(vehicle, edge, int(index or -1), x, y, sumo_angle_of(heading), mode)
+        _move(vehicle, edge, int(index or -1), x, y, sumo_angle_of(heading), mode)
         self._commanded.add(vehicle)
 
     def is_commanded(self, vehicle: str) -> bool:
@@ -324,14 +324,14 @@ class Sumo:
         libsumo.close()
 
 
-class _Kept(dict[str, float]):
+class _Kept(dict[str, T]):
     """What does not change about vehicles; asked once."""
 
-    def __init__(self, ask: Callable[[str], float]) -> None:
+    def __init__(self, ask: Callable[[str], T]) -> None:
         super().__init__()
         self._ask = ask
 
-    def __missing__(self, vehicle: str) -> float:
+    def __missing__(self, vehicle: str) -> T:
         self[vehicle] = found = self._ask(vehicle)
         return found
 

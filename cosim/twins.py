@@ -66,11 +66,12 @@ def place(
     Returns the lane on which the vehicle itself is to be booked.
     """
     s, d, heading, v = pose
-    others = np.array([other != vehicle for other in now.ids])
-    if others.all():  # it is gone; there is nothing to stand for
+    row = now.where.get(vehicle)
+    if row is None:  # it is gone; there is nothing to stand for
         world.remove_twin(vehicle)
         return ""
-    row = int(np.flatnonzero(~others)[0])
+    others = np.ones(len(now.ids), dtype=bool)
+    others[row] = False
     wanted = booking(s, d, float(now.width[row]), lanes)
     announced = wanted.twin is not None and not wanted.own
     if wanted.twin is None or (announced and not is_free(s, float(now.length[row]), lanes, now, others, dt)):

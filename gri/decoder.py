@@ -81,11 +81,11 @@ class Decoder(nn.Module):
         `selfish` cuts the gradient through the states of senders: a vehicle's action then is not blamed for
         what it makes others do.
         """
-        step = self.body.bind(graph, self.offset, self.unit, selfish)
+        step, unit = self.body.bind(graph, self.offset, self.unit, selfish), self.action_unit
 
         def act(state: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
             action, memory = step(state, memory)
-            return action * self.action_unit, memory
+            return action * unit, memory
 
         return act
 
@@ -142,23 +142,25 @@ class FeedForward(nn.Module):
 
     def bind(self, graph: DenseGraph, offset: Tensor, unit: Tensor, selfish: bool) -> Act:
         """Folds units, both shares of the first edge layer and the own state's layer into one product."""
-        first = self.node[0]
-        assert isinstance(first, nn.Linear)
+        first, *others = [layer for layer in self.node if isinstance(layer, nn.Linear)]
+        later = [(layer.weight, layer.bias) for layer in others]  # functions: modules cost more than what they compute
         sender, receiver = self.messages.first_layer()
         own = nn.functional.pad(self.own.weight, (1, 0)) if self.own else 0 * sender[: len(first.bias)]
         weight = torch.cat([sender, receiver, own]) / unit
         edge_bias = self.messages.sender.bias
         bias = torch.cat([edge_bias, torch.zeros_like(edge_bias), first.bias]) - weight @ offset
         sizes = [len(sender), len(receiver), len(own)]
-        receive, vehicles = self.messages.bind(graph), graph.shape[2]
+        receive, vehicles, summed = self.messages.bind(graph), graph.shape[2], first.weight
 
         def step(state: Tensor, memory: Tensor) -> tuple[Tensor, Tensor]:
             sent, received, hidden = nn.functional.linear(state, weight, bias).split(sizes, -1)
             if selfish:
                 sent = nn.functional.linear(state.detach(), weight[: sizes[0]], bias[: sizes[0]])
             messages = receive(sent, received[:, :vehicles])
-            hidden = nn.functional.linear(messages, first.weight) + hidden[:, :vehicles]
-            return self.node[1:](hidden), memory
+            hidden = nn.functional.linear(messages, summed) + hidden[:, :vehicles]
+            for layer in later:
+                hidden = nn.functional.linear(nn.functional.silu(hidden), *layer)
+            return hidden, memory
 
         return step
 

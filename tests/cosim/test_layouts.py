@@ -1,7 +1,6 @@
 """World and model states say the same."""
 
 import numpy as np
-import torch
 
 from cosim.episode import COLUMNS
 from cosim.frames import RoadFrame
@@ -22,9 +21,9 @@ def test_dubins_states_count_from_the_target_lane_and_the_road():
     layout = layout_of(Merge(lane="a_0", zone=(0, 1)), ROAD, seen(), LENGTH)
     state = layout.states(seen(heading=0.1))
     # From the rear: 1 at 20, 0 at 30 (4 m long, counts 1 m further on), 2 at 50 (7 m long: 1 − 2 m).
-    torch.testing.assert_close(state[0, :, 0], torch.tensor([31.0, 20.0, 49.0]).double())
-    torch.testing.assert_close(state[0, :, 1], torch.tensor([-3.8, 0.0, 0.0]).double())
-    torch.testing.assert_close(state[0, 0, 2:], torch.tensor([9.0, 0.1, 0.5, 0.0]).double())
+    np.testing.assert_allclose(state[0, :, 0], [31.0, 20.0, 49.0], rtol=1e-12)
+    np.testing.assert_allclose(state[0, :, 1], [-3.8, 0.0, 0.0], rtol=1e-12)
+    np.testing.assert_allclose(state[0, 0, 2:], [9.0, 0.1, 0.5, 0.0], rtol=1e-12)
     assert layout.dynamics is DUBINS
 
 

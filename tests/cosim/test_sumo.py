@@ -265,7 +265,7 @@ def test_a_vehicle_that_is_nowhere_is_in_no_snapshot(road, monkeypatch):
     """SUMO may go on listing a vehicle that left all lanes for a few steps, and answers with a sentinel."""
     known, nowhere = libsumo.vehicle.getPosition, (libsumo.constants.INVALID_DOUBLE_VALUE,) * 2
     with road(vehicle("a", 50.0), vehicle("b", 100.0)) as world:
-        monkeypatch.setattr(libsumo.vehicle, "getPosition", lambda v: nowhere if v == "a" else known(v))
+        monkeypatch.setattr("cosim.sumo._point", lambda v: nowhere if v == "a" else known(v))
         assert world.snapshot(ROAD).ids == ("b",)
         assert world.snapshot(ROAD, around=["a", "b"]).ids == ("b",)
 
