@@ -7,6 +7,7 @@ from gri.data.ranges import ONE_GRAPH, US101, GraphShare
 from gri.dynamics import DynamicsName
 from gri.graph import FOLLOWING, LANE_CHANGING, YIELDING, Vocabulary
 from gri.model import MERGE, MERGE_BEHIND, MERGE_BETWEEN
+from gri.naturalistic import References
 from gri.scale import CAR_FOLLOWING_NGSIM, LANE_CHANGING_NGSIM, Scale
 from gri.terms import AnyRewardConfig, NaturalisticConfig
 
@@ -60,7 +61,7 @@ NGSIM_LANE_CHANGING = RecordedRange(
     name="ngsim_lane_changing",
     kinds=("lane_changing_h1", "lane_changing_h2"),
     steps=40,
-    reward=NaturalisticConfig(lanes=True),
+    reward=NaturalisticConfig(lanes=True, references=References(distance=25.0, time=1.8)),
     scale=LANE_CHANGING_NGSIM,
     dynamics=DynamicsName.POINT_MASS_2D,
     vocabulary=YIELDING,

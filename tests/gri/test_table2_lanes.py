@@ -64,6 +64,16 @@ def test_nobody_of_a_recorded_lane_change_is_in_a_drawn_one(lane_file: Path):
     assert table2_lanes.readings(real, NGSIM_LANE_CHANGING).tolist() == [0, 0, 1, 1]
 
 
+def test_only_first_lateral_speeds_and_accelerations_are_blurred(lane_file: Path):
+    drawn = table2_lanes.recorded_and_drawn(lane_file, NGSIM_LANE_CHANGING)[2]
+    blurred = table2_lanes.blurred(drawn, NGSIM_LANE_CHANGING, seed=0)
+    changed = (blurred.state != drawn.state).nonzero()
+    assert set(changed[:, 1].tolist()) == {0, 1}  # the leader is given
+    assert set(changed[:, 2].tolist()) == {0}
+    assert set(changed[:, 3].tolist()) == {3, 5}
+    assert torch.equal(blurred.action, drawn.action)
+
+
 @pytest.fixture
 def short(monkeypatch: pytest.MonkeyPatch):
     """Every training is one update."""

@@ -4,8 +4,8 @@ import pytest
 import torch
 from torch import nn
 
-from gri.dynamics import POINT_MASS_1D
-from gri.objectives.common import LEFT_OUT, Descent, action_error, categorical_kl, reconstruction_loss
+from gri.dynamics import POINT_MASS_1D, POINT_MASS_2D
+from gri.objectives.common import ACROSS, LEFT_OUT, Descent, action_error, categorical_kl, reconstruction_loss
 
 
 def test_kl_by_hand():
@@ -27,6 +27,14 @@ def test_reconstruction_counts_positions_and_speeds_of_driven_vehicles():
     state[0, 0, 1] = torch.tensor([2.0, 1.0, 100.0])  # 4 + 1; the acceleration does not count
     state[0, 2] = 7.0  # nor does the leader
     torch.testing.assert_close(reconstruction_loss(state, recorded, POINT_MASS_1D), torch.tensor(5.0 / 4))
+
+
+def test_errors_across_the_road_count_more():
+    recorded = torch.zeros(1, 2, 1, 6)
+    state = recorded.clone()
+    state[0, 0, 0] = torch.tensor([2.0, 0.5, 1.0, 0.2, 9.0, 9.0])  # x, y, vx, vy; no accelerations
+    expected = 2.0**2 + (0.5 * ACROSS) ** 2 + 1.0**2 + (0.2 * ACROSS) ** 2
+    torch.testing.assert_close(reconstruction_loss(state, recorded, POINT_MASS_2D), torch.tensor(expected))
 
 
 def test_actions_count_in_their_units():
