@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool
 
 from cosim.agreement import Agreement, agreement
-from cosim.labels import PairLabels, Told, by_intervention, by_rule, pair_labels, reduced
+from cosim.labels import FOLLOW, PairLabels, Told, by_intervention, by_rule, pair_labels, reduced
 from cosim.scenes.clips import Clip, told_of, tried
 from cosim.scenes.geometry import features, places
 from cosim.scenes.rules import DT, HYPOTHESIS, RAREST, Kind, Rarest, Rules
@@ -118,7 +118,10 @@ class Sieve:
                 ("too far apart", np.any(np.abs(at) >= rules.spacing, (1, 2))),
             ]
         else:
-            broken += [("too far apart", np.any((headway >= rules.spacing) | (headway <= 0), (1, 2)))]
+            broken += [
+                ("too far apart", np.any((headway >= rules.spacing) | (headway <= 0), (1, 2))),
+                ("another relation than following", np.any(labels.types > FOLLOW, (1, 2))),
+            ]
         return [
             *broken,
             ("standing", np.ptp(s[:, 0], axis=1) < rules.travel),
