@@ -38,6 +38,7 @@ class Driver:
     reinfer: int = 0
 
 
+@torch.inference_mode()
 def drive(
     world: Sumo,
     road: RoadFrame,

@@ -76,24 +76,23 @@ class Pilot:
         if self._reinfer and self._steps and self._steps % self._reinfer == 0:
             self._memory = replace(self._memory, graph=self._begin().graph)
             self._note(time)
-        with torch.inference_mode():
-            action, self._memory = self._policy.act(self._memory, _relative(seen))
-            if self._signals is not None:
-                action = self._signals.apply(self._steps, action)
-            self._commanded = self._move(action.double()).numpy()
+        action, self._memory = self._policy.act(self._memory, _relative(seen))
+        if self._signals is not None:
+            action = self._signals.apply(self._steps, action)
+        self._commanded = self._move(action.numpy().astype(float))
         self._steps += 1
         self._pose = self._layout.pose(self._commanded)
         return self._pose
 
-    def _move(self, action: Float[Tensor, "G 3 A"]) -> Float[Tensor, "G 3 D"]:
+    def _move(self, action: Float[np.ndarray, "G 3 A"]) -> Float[np.ndarray, "G 3 D"]:
         """The next state by the dynamics, within what the road allows; nobody drives backwards."""
-        dynamics, state = self._policy.dynamics, torch.from_numpy(self._state)
-        following = dynamics.step(state, action, self._dt)
+        dynamics = self._policy.dynamics
+        following = dynamics.step(self._state, action, self._dt)
         if self._signals is not None:
-            following = self._signals.bound(following)
-        if dynamics.stop is None or not (following.numpy()[..., dynamics.speed] < 0).any():  # few ever stand still
+            following = self._signals.bound(torch.from_numpy(following)).numpy()
+        if dynamics.stop is None or not (following[..., dynamics.speed] < 0).any():  # few ever stand still
             return following
-        return dynamics.stop(state, following)
+        return dynamics.stop(torch.from_numpy(self._state), torch.from_numpy(following)).numpy()
 
     def observe(self, frame: Frame, active: Sequence[int]) -> None:
         """Read the world; the vehicles that are driven are where the dynamics put them."""

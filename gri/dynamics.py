@@ -9,13 +9,25 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
+from typing import Protocol, TypeVar, runtime_checkable
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from gri.arrays import arrays_of
+
 State = Float[Tensor, "*batch D"]
 Action = Float[Tensor, "*batch A"]
+Array = TypeVar("Array", Tensor, np.ndarray)
+
+
+@runtime_checkable
+class Step(Protocol):
+    """(state, action, dt) -> next state, in torch or in numpy."""
+
+    def __call__(self, state: Array, action: Array, dt: float, /) -> Array: ...
 
 
 class DynamicsName(StrEnum):
@@ -33,7 +45,7 @@ class Dynamics:
     state_units: tuple[str, ...]
     action: tuple[str, ...]
     action_units: tuple[str, ...]
-    step: Callable[[Tensor, Tensor, float], Tensor]
+    step: Step
     inverse: Callable[[Tensor, Tensor, float], Tensor]
     stop: Callable[[Tensor, Tensor], Tensor] | None = None
     """(state, next state) -> next state of a vehicle that stands still where it would roll backwards."""
@@ -48,14 +60,22 @@ class Dynamics:
         return self.index("v" if "v" in self.state else "vx")
 
 
+def _like(state: Tensor | np.ndarray, matrix: Callable[[float, torch.dtype], Tensor], dt: float) -> Tensor | np.ndarray:
+    """A matrix of the state's library and precision; numpy's is always double."""
+    return matrix(dt, torch.float64).numpy() if isinstance(state, np.ndarray) else matrix(dt, state.dtype)
+
+
 @lru_cache
 def _point_mass_1d_matrix(dt: float, dtype: torch.dtype) -> Tensor:
     return torch.tensor([[1, dt, 0.5 * dt**2, 0], [0, 1, dt, 0], [0, 0, 1, dt]], dtype=dtype)
 
 
-def _point_mass_1d_step(state: State, action: Action, dt: float) -> State:
+def _point_mass_1d_step(
+    state: Float[Array, "*batch D"], action: Float[Array, "*batch A"], dt: float
+) -> Float[Array, "*batch D"]:
     """x' = x + v·Δt + a·Δt²/2,  v' = v + a·Δt,  a' = a + δa·Δt  (Sec. VI-C)."""
-    return torch.nn.functional.linear(torch.cat([state, action], -1), _point_mass_1d_matrix(dt, state.dtype))
+    arrays = arrays_of(state)
+    return arrays.linear(arrays.join([state, action]), _like(state, _point_mass_1d_matrix, dt))
 
 
 def _point_mass_1d_inverse(state: State, next_state: State, dt: float) -> Action:
@@ -71,36 +91,30 @@ def _dubins_matrix(dt: float, dtype: torch.dtype) -> Tensor:
     return matrix
 
 
-def _dubins_step(state: State, action: Action, dt: float) -> State:
+def _dubins_step(
+    state: Float[Array, "*batch D"], action: Float[Array, "*batch A"], dt: float
+) -> Float[Array, "*batch D"]:
     """Dubins' car (Sec. VI-C).
 
     x' = x + v·cosθ·Δt,  y' = y + v·sinθ·Δt,  v' = v + a·Δt,
     θ' = θ + ω·Δt,       a' = a + δa·Δt,      ω' = ω + δω·Δt.
     """
     v, heading = state[..., 2:3], state[..., 3:4]
-    moved = torch.cat([state, action, v * torch.cos(heading), v * torch.sin(heading)], -1)
-    return torch.nn.functional.linear(moved, _dubins_matrix(dt, state.dtype))
+    arrays = arrays_of(state)
+    moved = arrays.join([state, action, v * arrays.cos(heading), v * arrays.sin(heading)])
+    return arrays.linear(moved, _like(state, _dubins_matrix, dt))
 
 
 def _dubins_inverse(state: State, next_state: State, dt: float) -> Action:
     return (next_state[..., 4:6] - state[..., 4:6]) / dt
 
 
-def _point_mass_2d_step(state: State, action: Action, dt: float) -> State:
+def _point_mass_2d_step(
+    state: Float[Array, "*batch 6"], action: Float[Array, "*batch 2"], dt: float
+) -> Float[Array, "*batch 6"]:
     """Both axes move as the 1-D point mass does (Sec. VI-D: no heading in the recorded data)."""
-    x, y, vx, vy, ax, ay = state.unbind(-1)
-    jerk_x, jerk_y = action.unbind(-1)
-    return torch.stack(
-        [
-            x + vx * dt + 0.5 * ax * dt**2,
-            y + vy * dt + 0.5 * ay * dt**2,
-            vx + ax * dt,
-            vy + ay * dt,
-            ax + jerk_x * dt,
-            ay + jerk_y * dt,
-        ],
-        dim=-1,
-    )
+    place, v, a = state[..., 0:2], state[..., 2:4], state[..., 4:6]
+    return arrays_of(state).join([place + v * dt + 0.5 * a * dt**2, v + a * dt, a + action * dt])
 
 
 def stop_at_standstill(

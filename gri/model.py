@@ -4,6 +4,8 @@ GRI, NRI and their ablations are this class with an encoder, the Supervised base
 They differ in how they are trained (`gri.objectives`).
 """
 
+from collections.abc import Callable
+
 import msgspec
 import torch
 from jaxtyping import Float
@@ -71,6 +73,10 @@ class ModelConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     """Without an encoder, evaluation tells the model each scene's true graph (Supervised); else it keeps `graph`."""
 
 
+Drive = Callable[[Tensor, PolicyState], tuple[Tensor, PolicyState]]
+"""(state, memory) -> (mean action, memory)."""
+
+
 class RelationalModel(nn.Module):
     """A `gri.policy.Policy` that acts by the graph in its `PolicyState`; replace that graph to overrule its belief."""
 
@@ -80,9 +86,7 @@ class RelationalModel(nn.Module):
         types = len(config.vocabulary)
         self.decoder = Decoder(config.decoder, config.scale, types)
         self.encoder = Encoder(config.encoder, config.scale, types, config.dt) if config.encoder else None
-        self._bound: tuple[InteractionGraph, Act] | None = (
-            None  # the graph `act` last drove by, and the policy under it
-        )
+        self._bound: tuple[InteractionGraph, Drive] | None = None  # the graph `act` last went by, and how
 
     @property
     def dynamics(self) -> Dynamics:
@@ -120,14 +124,35 @@ class RelationalModel(nn.Module):
         """The empty memory a roll-out starts with."""
         return state.new_zeros(*state.shape[:2], self.decoder.memory_size)
 
-    @torch.no_grad()
     def act(self, memory: PolicyState, state: Float[Tensor, "B N D"]) -> tuple[Float[Tensor, "B N A"], PolicyState]:
         """Mean action under the most probable graph."""
         assert memory.graph is not None, "begin() gives a PolicyState with a graph"
         if self.training or self._bound is None or self._bound[0] is not memory.graph:
-            self._bound = memory.graph, self.decoder.bind(dense(memory.graph.one_hot))
-        action, recurrent = self._bound[1](relative(state), memory.memory)
-        return action, PolicyState(memory.graph, recurrent)
+            self._bound = memory.graph, self._bind(memory.graph)
+        return self._bound[1](state, memory)
+
+    @torch.no_grad()
+    def _bind(self, graph: InteractionGraph) -> Drive:
+        """How to act by a graph: in numpy, where that is possible."""
+        edges = dense(graph.one_hot)
+        lean = self.decoder.bind_numpy(edges)
+        if lean is None:
+            return self._by_torch(self.decoder.bind(edges))
+
+        def act(state: Tensor, memory: PolicyState) -> tuple[Tensor, PolicyState]:
+            counted = state.detach().numpy().copy()
+            counted[..., 0] -= counted[:, -1:, 0]  # as `relative`
+            return torch.from_numpy(lean(counted)), memory
+
+        return act
+
+    def _by_torch(self, bound: Act) -> Drive:
+        @torch.no_grad()
+        def act(state: Tensor, memory: PolicyState) -> tuple[Tensor, PolicyState]:
+            action, recurrent = bound(relative(state), memory.memory)
+            return action, PolicyState(memory.graph, recurrent)
+
+        return act
 
     def step(self, state: Float[Tensor, "*batch D"], action: Float[Tensor, "*batch A"]) -> Float[Tensor, "*batch D"]:
         """The next state under the model's dynamics."""

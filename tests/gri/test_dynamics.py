@@ -60,3 +60,11 @@ def test_a_dubins_car_stands_still_instead_of_reversing():
 def test_unknown_dynamics_are_named():
     with pytest.raises(ValueError, match="unicycle"):
         dynamics_named("unicycle")
+
+
+@pytest.mark.parametrize("dynamics", ALL, ids=lambda d: d.name)
+def test_numpy_moves_as_torch_does(dynamics: Dynamics, generator: torch.Generator):
+    state = 5 * torch.randn(4, 3, len(dynamics.state), generator=generator, dtype=torch.float64)
+    action = torch.randn(4, 3, len(dynamics.action), generator=generator, dtype=torch.float64)
+    moved = dynamics.step(state.numpy(), action.numpy(), 0.2)
+    torch.testing.assert_close(torch.from_numpy(moved), dynamics.step(state, action, 0.2), rtol=0, atol=1e-12)

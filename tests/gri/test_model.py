@@ -1,10 +1,12 @@
 from dataclasses import replace
+from typing import Literal
 
 import pytest
 import torch
 
+from gri.decoder import DecoderConfig, dense
 from gri.graph import FOLLOWING, EdgeType, InteractionGraph
-from gri.model import ModelConfig, RelationalModel
+from gri.model import ModelConfig, RelationalModel, relative
 from gri.policy import Policy, PolicyState
 from gri.types import Trajectory
 
@@ -95,3 +97,17 @@ def test_a_replaced_graph_counts_at_once(model: RelationalModel, generator: torc
     first, second = model.act(state, seen.final)[0], model.act(other, seen.final)[0]
     assert not torch.equal(first, second)
     torch.testing.assert_close(model.act(state, seen.final)[0], first, rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("kind", ["feed_forward", "recurrent"])
+def test_it_drives_by_its_decoder(kind: Literal["feed_forward", "recurrent"], generator: torch.Generator):
+    """`act`, which may go by numpy, is the decoder that was trained."""
+    torch.manual_seed(0)
+    model = RelationalModel(ModelConfig(history_steps=10, decoder=DecoderConfig(kind=kind)))
+    seen = history(generator)
+    action, memory = drive(model, seen)
+    assert memory.graph is not None
+    act = model.decoder.bind(dense(memory.graph.one_hot))
+    expected, recurrent = act(relative(seen.final), model.memory(seen.final))
+    torch.testing.assert_close(action, expected, rtol=1e-5, atol=1e-6)
+    torch.testing.assert_close(memory.memory, recurrent)
