@@ -28,7 +28,7 @@ from cosim.traffic import route_file
 from gri.errors import InputError
 
 APART = 100.0  # [m] along one lane between two groups of a round, so that they do not meet
-BETWEEN_ROUNDS = 5  # looks, a second each
+BETWEEN_ROUNDS = 4  # looks, a second each, that are passed over after a round
 
 Rows = list[dict[str, Any]]
 
@@ -58,12 +58,14 @@ def rows_of(chunk: Chunk, tell: Callable[..., None]) -> Rows:
                 trunk = Trunk(road, scenario)
                 trunk.warm_up(lambda *_: None)
                 while starts < chunk.starts and trunk.time < end:
-                    history = _look(trunk)
+                    history = trunk.look()
                     task = apart(trunk.find(history, limit=chunk.starts - starts), history[-1])
                     if task.groups:
                         starts += len(task.groups)
                         rows += branches(road, history, task, cells, drivers)
                         tell("starts", starts, chunk.starts)
+                        for _ in range(BETWEEN_ROUNDS):
+                            trunk.look()
         except SumoError as error:
             raise InputError(f"SUMO refused the scenario: {error}") from error
     if starts < chunk.starts:
@@ -72,12 +74,6 @@ def rows_of(chunk: Chunk, tell: Callable[..., None]) -> Rows:
             " loosen the group rule's gaps or raise time_limit"
         )
     return rows
-
-
-def _look(trunk: Trunk) -> tuple[Snapshot, ...]:
-    for _ in range(BETWEEN_ROUNDS - 1):
-        trunk.look()
-    return trunk.look()
 
 
 def apart(task: Round, now: Snapshot) -> Round:

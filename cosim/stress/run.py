@@ -56,10 +56,10 @@ def _finish(futures: Sequence[Future[None]]) -> None:
             if future.done():
                 future.result()
     except BaseException:
-        for future in futures:
-            future.cancel()
-        for process in multiprocessing.active_children():
-            process.terminate()
+        running = [future for future in futures if not future.cancel()]
+        while wait(running, timeout=0.2).not_done:  # again and again: one may be about to start its worker
+            for process in multiprocessing.active_children():
+                process.terminate()
         raise
 
 

@@ -20,26 +20,26 @@ POLICIES = {"idm": Idm(), "sumo": LeftToSumo()}
 
 
 def test_what_happens_at_the_take_over_shares_one_simulation_per_seed(scenario):
-    parts = chunks(scenario, POLICIES, {"headway_ratio": (0.1, 0.2), "latency": (0.4,)}, starts=60)
-    assert [part.starts for part in parts] == [25, 25, 10]
+    parts = chunks(scenario, POLICIES, {"headway_ratio": (0.1, 0.2), "latency": (0.4,)}, starts=24)
+    assert [part.starts for part in parts] == [10, 10, 4]
     assert [part.scenario.seed for part in parts] == [1, 2, 3]
     assert parts[0].cells == (Cell(), Cell("headway_ratio", 0.1), Cell("headway_ratio", 0.2), Cell("latency", 0.4))
     assert len({part.key for part in parts}) == 3
 
 
 def test_perturbed_traffic_has_a_simulation_of_its_own(scenario):
-    parts = chunks(scenario, POLICIES, {"denser_demand": (1.1, 1.2)}, starts=20)
+    parts = chunks(scenario, POLICIES, {"denser_demand": (1.1, 1.2)}, starts=9)
     assert [part.cells for part in parts] == [(Cell(),), (Cell("denser_demand", 1.1),), (Cell("denser_demand", 1.2),)]
     rates = [part.scenario.traffic.flows[0].per_hour[0] for part in parts]
     assert rates == pytest.approx([rates[0], 1.1 * rates[0], 1.2 * rates[0]])
 
 
 def test_the_key_tells_everything_apart_that_matters(scenario):
-    def key(of=scenario, policies=POLICIES, intensity=0.1, starts=10):
+    def key(of=scenario, policies=POLICIES, intensity=0.1, starts=8):
         return chunks(of, policies, {"latency": (intensity,)}, starts)[0].key
 
     assert key() == key(of=replace(scenario, description="another"))
-    others = [key(of=replace(scenario, seed=7)), key(policies={"idm": Idm()}), key(intensity=0.2), key(starts=11)]
+    others = [key(of=replace(scenario, seed=7)), key(policies={"idm": Idm()}), key(intensity=0.2), key(starts=9)]
     assert len({key(), *others}) == 5
 
 
