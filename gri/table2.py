@@ -23,7 +23,6 @@ from gri.evaluate import believed
 from gri.graph import EdgeType
 from gri.jobs import write
 from gri.model import RelationalModel
-from gri.objectives.common import ACROSS
 from gri.probes import reconstruct
 from gri.progress import Progress, silent
 from gri.train import TrainConfig, read_train_config, train
@@ -78,7 +77,7 @@ class Job:
     def folder(self, cache: Path, file: str) -> Path:
         scenes = self.scenes if self.row.rewarded else [self.scenes.kinds, self.scenes.steps, self.scenes.scale]
         content = [VERSION, self.config, scenes, self.seed, self.site, file, self.row.meaning]
-        content += [table2_lanes.FOLDS, table2_lanes.TUNING, table2_lanes.BLUR, ACROSS] if self.scenes.lanes else []
+        content += list(table2_lanes.DEPENDS) if self.scenes.lanes else []
         key = hashlib.sha256(msgspec.json.encode(content)).hexdigest()[:10]
         name = f"{self.scenario}{self.row.suffix or ('_idm' if self.row is IDM else '')}-s{self.seed}"
         return cache / f"{name}{f'-{self.site}' if self.site else ''}-{key}"

@@ -26,15 +26,20 @@ from gri.evaluate import believed
 from gri.fine_tuning import FineTuning, fine_tune
 from gri.graph import EdgeType, pairs
 from gri.model import RelationalModel
+from gri.objectives.common import ACROSS
 from gri.probes import reconstruct
 from gri.progress import Progress
 from gri.train import TrainConfig, train
 from gri.types import Trajectory
 
 FOLDS = 5
-TUNING = FineTuning(slower=0.4)
+TUNING = FineTuning(updates=60)
+BESIDE = 4
+"""Drawn windows for each recorded one in fine-tuning, which else fits the few recorded ones too well."""
 BLUR = (0.2, 0.3)
 """Standard deviations of what is added to first lateral speeds [m/s] and accelerations [m/s²]."""
+DEPENDS = (FOLDS, TUNING, BESIDE, BLUR, ACROSS)
+"""On what results depend beside the configuration."""
 
 
 def recorded_and_drawn(path: Path, scenes: RecordedRange) -> tuple[Scenes, Recorded, Scenes, Scenes]:
@@ -85,10 +90,11 @@ def cross_validated(
 ) -> dict[str, Any]:
     """Scores of every recorded window, before fine-tuning and by the model that was fine-tuned without its fold."""
     real, found, drawn, validation = recorded_and_drawn(path, scenes)
+    drawn = blurred(drawn, scenes, seed)
     cluster, fold = fold_of(found)
     kept = folder / "model.pt"
     if not kept.is_file():
-        trained = train(config, Splits(blurred(drawn, scenes, seed), validation, real), seed, progress)
+        trained = train(config, Splits(drawn, validation, real), seed, progress)
         checkpoint.save(kept, trained.model, trained.reward, trained.provenance)
     before = examined(checkpoint.load(kept), real, meaning)
     parts, order = [], []
@@ -127,9 +133,9 @@ def readings(real: Scenes, scenes: RecordedRange) -> np.ndarray:
 
 
 def joined(real: Scenes, drawn: Scenes, seed: int) -> Scenes:
-    """Recorded windows and as many drawn ones, in turn: what was learned from the many is not to be forgotten."""
+    """Recorded windows and `BESIDE` times as many drawn ones: what was learned from the many is not to be forgotten."""
     generator = torch.Generator().manual_seed(seed)
-    some = drawn[torch.randperm(len(drawn), generator=generator)[: len(real)]]
+    some = drawn[torch.randperm(len(drawn), generator=generator)[: BESIDE * len(real)]]
     both = (torch.cat([getattr(part, name) for part in (real, some)]) for name in ("state", "action", "graph"))
     return Scenes(*both)
 

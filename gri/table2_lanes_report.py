@@ -16,14 +16,14 @@ from gri.model import MERGE_BEHIND, MERGE_BETWEEN, Edge
 from gri.recorded_scores import RATIOS, clustered, pooled
 from gri.rows import printed
 from gri.table2 import Row
-from gri.table2_lanes import BLUR, FOLDS, TUNING
+from gri.table2_lanes import BESIDE, BLUR, FOLDS, TUNING
 from gri.table2_text import PAPERS, Results, by_row, files_of, lines, printed_cell, write_figures, write_tables
 
 NOTES = """\
 How it was trained: on scenes whose motion along the road is recorded and whose motion across it is drawn, with lateral
 starts blurred by {blur[0]} m/s and {blur[1]} m/s²; then, {folds} times, for {updates} updates on the recorded lane
-changes of all folds but one, beside as many drawn ones. Tested is the fold that was left out: no vehicle of a test
-window was seen in any training. "Drawn only" is the model before it saw any recorded lane change.
+changes of all folds but one, beside {beside} times as many drawn ones. Tested is the fold that was left out: no vehicle
+of a test window was seen in any training. "Drawn only" is the model before it saw any recorded lane change.
 
 Mean over windows and seeds ± half of the 95 % interval, for which windows that share vehicles count as one
 [least seed, greatest seed]. Paper: mean ± standard deviation, on scenes of its own choice. Accuracy is agreement with
@@ -44,7 +44,7 @@ def text(results: Results, path: Path) -> str:
     windows, clusters = len(first["site"]), len(set(first["cluster"]))
     parts = ["# Table II: recorded lane changing (NGSIM)\n"]
     parts += [f"{windows} recorded windows in {clusters} groups that share no vehicle, cut from {files_of(path)}.\n"]
-    parts += [NOTES.format(folds=FOLDS, updates=TUNING.updates, blur=BLUR), _table(results)]
+    parts += [NOTES.format(folds=FOLDS, updates=TUNING.updates, blur=BLUR, beside=BESIDE), _table(results)]
     parts += ["\n## Out of distribution\n", OOD_NOTES, _curves(results)]
     return "\n".join(parts) + "\n"
 

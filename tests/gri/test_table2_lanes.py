@@ -116,12 +116,14 @@ def test_every_window_is_tested_once_by_a_model_that_never_saw_its_vehicles(
     monkeypatch.setattr(table2_lanes, "examined", examined)
     job = Job(LC, ROWS[-1], 0)
     result = table2.run(job, lane_file, tmp_path)
-    real = table2_lanes.recorded_and_drawn(lane_file, NGSIM_LANE_CHANGING)[0]
+    real, _, drawn, _ = table2_lanes.recorded_and_drawn(lane_file, NGSIM_LANE_CHANGING)
     whole, folds = tested[0], tested[1:]
     torch.testing.assert_close(whole.state, real.state)
     assert sum(len(fold) for fold in folds) == len(real) == len(result["errors"]["rmse_y"])
     for mine, others in zip(folds, learned, strict=True):
-        assert len(others) == 2 * (len(real) - len(mine))
+        assert len(others) == min(
+            (1 + table2_lanes.BESIDE) * (len(real) - len(mine)), len(real) - len(mine) + len(drawn)
+        )
         assert not any(torch.equal(a, b) for a in mine.state for b in others.state)
     assert sum(point["scenes"] for point in result["ood"][:1]) == len(real)
     assert len(result["before"]["errors"]["rmse_x"]) == len(real)
