@@ -112,16 +112,14 @@ def drive(
 
 def _command(world: Sumo, road: RoadFrame, task: Round, active: Sequence[int], pose: Pose, now: Snapshot) -> None:
     """Tell SUMO where the owned vehicles will be, and make those between two lanes visible in both."""
-    shape = pose.s.shape
     xy, along = road.to_world(pose.s.ravel(), pose.d.ravel())
-    poses = np.column_stack([xy, along + pose.heading.ravel(), pose.v.ravel()]).reshape(*shape, 4).tolist()
+    points, headings, speeds = xy.tolist(), (along + pose.heading.ravel()).tolist(), pose.v.ravel().tolist()
     for g in active:
         for role in task.owned:
-            vehicle, lane = task.groups[g].ids[role], ""
+            vehicle, lane, k = task.groups[g].ids[role], "", 3 * g + role
             if task.lanes is not None and role == 0:
                 lane = twins.place(world, road, vehicle, pose.of(g, role), task.lanes, now, task.dt)
-            x, y, heading, v = poses[g][role]
-            world.command(vehicle, x, y, heading, v, lane)
+            world.command(vehicle, points[k][0], points[k][1], headings[k], speeds[k], lane)
 
 
 def _graphs(pilot: Pilot | None, end: float) -> list[tuple[float, InteractionGraph]]:

@@ -8,9 +8,9 @@ from jaxtyping import Bool, Float
 
 from cosim.groups import Group
 from cosim.safety import net_gap, time_to_collision
+from cosim.snapshot import COLUMNS
 from gri.graph import InteractionGraph
 
-COLUMNS = ("s", "d", "x", "y", "heading", "v", "a")  # of Episode.state, SI units, frames of cosim/frames.py
 SUCCESS_HEADWAY = 2.0  # [m], the paper's δ_f (Sec. VI-E)
 
 

@@ -42,7 +42,9 @@ class Along:
 
     def states(self, seen: Float[np.ndarray, "G 3 C"]) -> Float[np.ndarray, "G 3 3"]:
         """Model states (float64) of vehicles with the features of COLUMNS."""
-        return np.stack([seen[..., _S] + self.offset, seen[..., _V], seen[..., _A]], -1)
+        states = seen[..., [_S, _V, _A]]
+        states[..., 0] += self.offset
+        return states
 
     def pose(self, state: Float[np.ndarray, "G 3 3"]) -> Pose:
         """Where the dynamics put the vehicles."""

@@ -84,8 +84,8 @@ class Record:
     def verify(self, frame: Frame, commanded: Pose) -> None:
         """Note every owned vehicle that is gone, or that is not where and as fast as the dynamics say."""
         owned, seen = self._owned, frame.state
-        pairs = ((seen[..., _S], commanded.s), (seen[..., _D], commanded.d), (seen[..., _V], commanded.v))
-        error = np.max([np.abs(there - wanted) for there, wanted in pairs], axis=0)
+        error = np.maximum(np.abs(seen[..., _S] - commanded.s), np.abs(seen[..., _D] - commanded.d))
+        error = np.maximum(error, np.abs(seen[..., _V] - commanded.v))
         right = frame.valid & (error <= PLACEMENT_TOLERANCE)
         if right[:, owned].all():
             return

@@ -28,11 +28,10 @@ def overlaps(
     Touching boxes do not overlap: the test is strict.
     """
     forward = _direction(heading)
-    x, y = (xy - 0.5 * length[:, None] * forward).T
-    cos, sin = np.abs(forward).T
-    reach_x, reach_y = 0.5 * (length * cos + width * sin), 0.5 * (length * sin + width * cos)
-    near = np.abs(x - x[rows, None]) < reach_x + reach_x[rows, None]  # Shape: (R, V)
-    near &= np.abs(y - y[rows, None]) < reach_y + reach_y[rows, None]
+    centre, along = xy - 0.5 * length[:, None] * forward, np.abs(forward)
+    reach = 0.5 * (length[:, None] * along + width[:, None] * along[:, ::-1])  # of the box around the box, in x and y
+    close = np.abs(centre - centre[rows, None]) < reach + reach[rows, None]  # Shape: (R, V, 2)
+    near = close[..., 0] & close[..., 1]
     near[np.arange(len(rows)), rows] = False
     which, j = np.nonzero(near)
     i = rows[which]

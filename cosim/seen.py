@@ -24,15 +24,14 @@ class Frame:
     def of(cls, snapshot: Snapshot, groups: Sequence[Group]) -> "Frame":
         """The groups' part of a snapshot; absent vehicles have zeros."""
         where = snapshot.where
-        found = np.array([where.get(vehicle, -1) for group in groups for vehicle in group.ids]).reshape(-1, 3)
-        valid = found >= 0
-        if not snapshot.ids:  # nobody at all
-            return cls(snapshot.time, np.zeros((*found.shape, len(COLUMNS))), valid, np.zeros_like(found))
-        rows = found.clip(min=0)
-        features = {"x": snapshot.xy[:, 0], "y": snapshot.xy[:, 1]}
-        seen = np.array([features[name] if name in features else getattr(snapshot, name) for name in COLUMNS])
-        state = np.moveaxis(seen[:, rows], 0, -1)
-        return cls(snapshot.time, state if valid.all() else np.where(valid[..., None], state, 0.0), valid, rows)
+        found = [where.get(vehicle, -1) for group in groups for vehicle in group.ids]
+        rows = np.array(found).reshape(-1, 3)
+        if -1 not in found:
+            return cls(snapshot.time, snapshot.table[rows], np.ones_like(rows, dtype=bool), rows)
+        valid, rows = rows >= 0, np.maximum(rows, 0)
+        if not where:  # nobody at all
+            return cls(snapshot.time, np.zeros((*rows.shape, len(COLUMNS))), valid, rows)
+        return cls(snapshot.time, np.where(valid[..., None], snapshot.table[rows], 0.0), valid, rows)
 
     def carried_on(self, previous: "Frame") -> "Frame":
         """With the last known state of vehicles that are gone; `valid` keeps saying that they are."""

@@ -11,6 +11,8 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+COLUMNS = ("s", "d", "x", "y", "heading", "v", "a")  # of tables of vehicles, SI units, frames of cosim/frames.py
+
 
 @dataclass(frozen=True)
 class Snapshot:
@@ -32,6 +34,12 @@ class Snapshot:
     def where(self) -> dict[str, int]:
         """Row of every vehicle."""
         return {vehicle: row for row, vehicle in enumerate(self.ids)}
+
+    @cached_property
+    def table(self) -> Float[np.ndarray, "V C"]:
+        """The features of COLUMNS of every vehicle."""
+        features = {"x": self.xy[:, 0], "y": self.xy[:, 1]}
+        return np.array([features[name] if name in features else getattr(self, name) for name in COLUMNS]).T
 
     def rows(self, ids: Sequence[str]) -> dict[str, int]:
         """Row of each id that is present."""

@@ -9,6 +9,7 @@ commanded one only if `setSpeed` goes with it and the safety checks are off.
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 from typing import TypeVar
 
@@ -80,7 +81,7 @@ class Sumo:
             ids, xy, s, d = self._positions(road, _real(libsumo.vehicle.getIDList()))
         else:
             ids, xy, s, d = self._positions_around(road, tuple(around))
-        sizes = np.array([self._sizes[v] for v in ids], dtype=float).reshape(-1, 2)
+        sizes = np.array([size for v in ids for size in self._sizes[v]], dtype=float).reshape(-1, 2)
         return Snapshot(
             time=libsumo.simulation.getTime(),
             ids=ids,
@@ -101,7 +102,7 @@ class Sumo:
         if _NOWHERE in points:
             ids = tuple(v for v, point in zip(ids, points, strict=True) if point != _NOWHERE)
             points = [point for point in points if point != _NOWHERE]
-        xy = np.array(points, dtype=float).reshape(-1, 2)
+        xy = np.array([*chain.from_iterable(points)], dtype=float).reshape(-1, 2)
         return ids, xy, *road.to_road(xy)
 
     def _positions_around(self, road: RoadFrame, around: tuple[str, ...]) -> _Positions:

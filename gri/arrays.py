@@ -27,8 +27,10 @@ class Arrays(NamedTuple):
 
 
 def _linear(x: np.ndarray, weight: np.ndarray, bias: np.ndarray | None = None) -> np.ndarray:
-    product = x @ weight.T
-    return product if bias is None else product + bias
+    product = x.reshape(-1, x.shape[-1]) @ weight.T  # one product, not one for each scene
+    if bias is not None:
+        product += bias
+    return product.reshape(*x.shape[:-1], -1)
 
 
 def _silu(x: np.ndarray) -> np.ndarray:
