@@ -3,8 +3,8 @@
     python benchmarks/step_cost.py [--scenario us101_car_following] [--groups 10] [--rounds 5]
 
 Both sides are branches of one warmed-up simulation and start from the same state. A round steps the traffic bare,
-then with the groups driven (reading, model, commands, collision test and recording included), three times each in
-turn, and compares the medians. Groups of a merge seldom come ten at once. CPU time of the process.
+then with the groups driven (reading, inference of the graph, model, commands, collision test and recording included),
+three times each in turn, and compares the medians. Groups of a merge seldom come ten at once. CPU time of the process.
 """
 
 import argparse
@@ -19,7 +19,7 @@ from msgspec.structs import replace
 
 from cosim.branch import fork
 from cosim.closed_loop import Files, RunningRoad, Trunk, simulation
-from cosim.driving import Driver, drive
+from cosim.driving import Driver, Start, drive, start
 from cosim.inputs import find_net
 from cosim.loading import load_scenario
 from cosim.policies import driver_of
@@ -32,12 +32,11 @@ REPEATS = 3
 BETWEEN = 10.0  # [s] from one round to the next attempt to find groups
 
 
-def driven(road: RunningRoad, history: Sequence[Snapshot], task: Round, driver: Driver) -> tuple[float, int]:
-    """CPU seconds per step with driven groups, and the number of steps: they may all end early."""
+def driven(road: RunningRoad, begin: Start) -> tuple[float, int]:
+    """CPU seconds with driven groups, and the number of steps: they may all end early."""
     began = time.process_time()
-    episodes = drive(road.world, road.frame, history, task, driver)
-    steps = len(episodes[0].time) - len(history)
-    return (time.process_time() - began) / steps, steps
+    episodes = drive(road.world, road.frame, begin)
+    return time.process_time() - began, len(episodes[0].time) - len(begin.frames)
 
 
 def bare(road: RunningRoad, steps: int) -> float:
@@ -52,8 +51,11 @@ def compare(road: RunningRoad, history: Sequence[Snapshot], task: Round, driver:
     """Median CPU seconds per step, bare and driven, of branches in turn."""
     alone, together = [], []
     for _ in range(REPEATS):
-        cost, steps = fork(lambda: driven(road, history, task, driver)).result()
-        together.append(cost)
+        began = time.process_time()
+        begin = start(road.frame, history, task, driver)
+        ready = time.process_time() - began
+        cost, steps = fork(lambda: driven(road, begin)).result()  # noqa: B023
+        together.append((ready + cost) / steps)
         alone.append(fork(lambda: bare(road, steps)).result())  # noqa: B023
     return statistics.median(alone), statistics.median(together)
 

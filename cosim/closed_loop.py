@@ -15,7 +15,7 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from cosim.branch import CAN_FORK, fork
-from cosim.driving import Driver, drive
+from cosim.driving import Driver, drive, start
 from cosim.episode import INTERRUPTED, Episode
 from cosim.frames import RoadFrame
 from cosim.groups import Group, MergeLanes, select, target_lane
@@ -110,7 +110,8 @@ def run(
             if nothing_done:
                 left += trunk.leave(history, task)
             elif forking:
-                branch = fork(lambda: drive(road.world, road.frame, history, task, driver, intervention))  # noqa: B023
+                begin = start(road.frame, history, task, driver, intervention)
+                branch = fork(lambda: drive(road.world, road.frame, begin))  # noqa: B023
                 left += trunk.leave(history, task)
                 driven += branch.result()
             else:
@@ -196,7 +197,7 @@ class Trunk:
 
     def leave(self, history: Sequence[Snapshot], task: Round) -> list[Episode]:
         """Leave a round to SUMO and record it."""
-        episodes = drive(self._road.world, self._road.frame, history, task, None)
+        episodes = drive(self._road.world, self._road.frame, start(self._road.frame, history, task, None))
         self.steps += len(episodes[0].time) - len(history)
         self._seen.clear()  # what was seen before the round is no history any more
         self.time = float(episodes[0].time[-1])
@@ -214,7 +215,7 @@ def _replay(scenario: Scenario, files: Files, steps: int, task: Round, driver: D
             road.world.step()
             history.append(road.world.snapshot(road.frame))
         intervention = prepare(scenario, history[-1], task) if scenario.perturbations else None
-        return drive(road.world, road.frame, history, task, driver, intervention)
+        return drive(road.world, road.frame, start(road.frame, history, task, driver, intervention))
 
 
 def prepared(scenario: Scenario) -> Scenario:

@@ -38,40 +38,66 @@ class Driver:
     reinfer: int = 0
 
 
+@dataclass(frozen=True)
+class Start:
+    """A round about to be driven, or only watched: what was seen of it, the policy at the wheel, its first poses.
+
+    It is used up by driving it; branches of the process may share it.
+    """
+
+    task: Round
+    driver: Driver | None
+    intervention: Intervention | None
+    now: Snapshot
+    frames: tuple[Frame, ...]
+    pilot: Pilot | None
+    pose: Pose | None
+
+
 @torch.inference_mode()
-def drive(
-    world: Sumo,
+def start(
     road: RoadFrame,
     history: Sequence[Snapshot],
     task: Round,
     driver: Driver | None,
     intervention: Intervention | None = None,
-) -> list[Episode]:
-    """Drive (or only watch) the groups from the last snapshot of the history on; one Episode per group.
+) -> Start:
+    """Make ready to drive from the last snapshot of the history on; the world stays as it is.
 
-    An intervention happens between that snapshot and the first step, after the policy has inferred its graph; the
-    `task` is then the intervention's own.
+    What is done here, before a branch, need not be done in it, where all of torch would have to be touched first. An
+    intervention displaces its starts after the policy has inferred its graph; the `task` is the intervention's own.
     """
-    frames, now = [Frame.of(snapshot, task.groups) for snapshot in history], history[-1]
+    frames, now = tuple(Frame.of(snapshot, task.groups) for snapshot in history), history[-1]
     assert frames[-1].valid.all(), "a group was selected with a vehicle that is not there"
-    length, width = now.length[frames[-1].rows], now.width[frames[-1].rows]
-    record = Record(task, width)
-    pilot, roles = None, () if driver is None else task.owned
+    pilot = None
     if driver is not None:
-        layout = layout_of(task.rule, road, frames[-1].state, length)
+        layout = layout_of(task.rule, road, frames[-1].state, now.length[frames[-1].rows])
         overrule = partial(overruled, source=driver.graph, rule=task.rule, third=task.third)
         signals = None if intervention is None else intervention.signals(layout, frames)
         pilot = Pilot(driver.policy, layout, frames, task.owned, task.dt, overrule, driver.reinfer, signals)
+        if intervention is not None:
+            pilot.place(intervention.displace(frames[-1]))
+    return Start(task, driver, intervention, now, frames, pilot, None if pilot is None else pilot.decide(now.time))
+
+
+@torch.inference_mode()
+def drive(world: Sumo, road: RoadFrame, begin: Start) -> list[Episode]:
+    """Drive (or only watch) the groups of a round; one Episode per group.
+
+    An intervention happens between the start and the first step.
+    """
+    task, pilot, intervention, now, frames = begin.task, begin.pilot, begin.intervention, begin.now, [*begin.frames]
+    length, width = now.length[frames[-1].rows], now.width[frames[-1].rows]
+    record, roles = Record(task, width), () if pilot is None else task.owned
+    if pilot is not None:
         record.take_over(world, now.time)
     if intervention is not None:
         intervention.begin(world, roles)
-        if pilot is not None:
-            pilot.place(intervention.displace(frames[-1]))
     k = ended = 0
     while k < ended + task.watched or record.active:
         active, pose = record.active, None
         if pilot is not None and active:
-            pose = pilot.decide(now.time)
+            pose = begin.pose if k == 0 and begin.pose is not None else pilot.decide(now.time)
             _command(world, road, task, active, pose, now)
         if intervention is not None:
             intervention.command(world, road, k, roles, now)
@@ -91,7 +117,7 @@ def drive(
     time = np.array([frame.time for frame in frames])
     return [
         Episode(
-            driver=task.undriven if driver is None else driver.name,
+            driver=task.undriven if begin.driver is None else begin.driver.name,
             group=group,
             time=time,
             state=np.stack([frame.state[g] for frame in frames]),

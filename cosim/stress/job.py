@@ -13,10 +13,10 @@ from msgspec.structs import replace
 
 from cosim.branch import CAN_FORK, fork
 from cosim.closed_loop import Files, RunningRoad, Trunk, simulation
-from cosim.driving import Driver, drive
+from cosim.driving import Driver, Start, drive, start
 from cosim.groups import SAME_LANE, Group
 from cosim.inputs import find_net
-from cosim.intervention import prepare
+from cosim.intervention import Intervention, prepare
 from cosim.policies import driver_of
 from cosim.record import Round
 from cosim.scenario import Scenario
@@ -101,26 +101,25 @@ def branches(
     """The rows of one round, each cell and policy in a branch of its own."""
     rows: Rows = []
     for cell, scenario in cells.items():
+        intervention = prepare(scenario, history[-1], task)
         for name, driver in drivers.items():
             labels = {"policy": name, "perturbation": cell.perturbation, "intensity": cell.intensity}
-            found = fork(lambda: branch_rows(road, history, task, scenario, driver)).result()  # noqa: B023
+            found = [_labels(group) | {"infeasible": reason.value} for group, reason in intervention.excluded]
+            if intervention.task.groups:
+                begin = start(road.frame, history, intervention.task, driver, intervention)
+                found += fork(lambda: branch_rows(road, begin, intervention, history[-1])).result()  # noqa: B023
             rows += [labels | row for row in found]
     return rows
 
 
-def branch_rows(
-    road: RunningRoad, history: Sequence[Snapshot], task: Round, scenario: Scenario, driver: Driver | None
-) -> Rows:
-    """Drive a round under the scenario's perturbations; this changes the world."""
-    intervention = prepare(scenario, history[-1], task)
-    rows: Rows = [_labels(group) | {"infeasible": reason.value} for group, reason in intervention.excluded]
-    if not intervention.task.groups:
-        return rows
-    episodes = drive(road.world, road.frame, history, intervention.task, driver, intervention)
-    for episode, change in zip(episodes, intervention.changes, strict=True):
-        found = row_of(episode, change, history[-1], intervention.trace, task.owned, intervention.third_gone)
-        rows.append(_labels(episode.group) | {"infeasible": ""} | found)
-    return rows
+def branch_rows(road: RunningRoad, begin: Start, intervention: Intervention, before: Snapshot) -> Rows:
+    """Drive a perturbed round; this changes the world."""
+    episodes = drive(road.world, road.frame, begin)
+    trace, owned, gone = intervention.trace, begin.task.owned, intervention.third_gone
+    return [
+        _labels(episode.group) | {"infeasible": ""} | row_of(episode, change, before, trace, owned, gone)
+        for episode, change in zip(episodes, intervention.changes, strict=True)
+    ]
 
 
 def _labels(group: Group) -> dict[str, Any]:
