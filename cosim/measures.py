@@ -74,21 +74,24 @@ def time_headway(follower: Track, leader: Track) -> Times:
         return np.where(behind(follower, leader), (leader.s - follower.s) / follower.v, np.inf)
 
 
-def pet(second: Track, first: Track) -> float:
+def pet(second: Track, first: Track, below: float = np.inf) -> float:
     """Post-encroachment time [s]: the least time after which the second covers a place that the first has left.
 
     It is the least τ ≥ 0 such that the box of the second at some t + τ overlaps the box of the first at t, with poses
     interpolated to PET_PARTS parts of a step; +inf if the second never drives where the first was. In car following
     that is the net time gap that was really kept, at a crossing the time between one leaving it and the other coming.
+    A value that is not `below` so many seconds may be +inf: it is not looked for.
     """
     if (second.s - second.length > first.s + first.width).all() and (np.diff(second.s) >= 0).all():
         return np.inf  # it was ahead all the time
     early, late = _fine(first), _fine(second)
-    count = len(early.xy)
+    count, part = len(early.xy), float(first.time[1] - first.time[0]) / PET_PARTS
     for lag in range(0, count, PET_PARTS):
+        if (lag - PET_PARTS) * part >= below:
+            break
         if _meet_after(late, early, lag):
             exact = next(k for k in range(max(lag - PET_PARTS + 1, 0), lag + 1) if _meet_after(late, early, k))
-            return exact * float(first.time[1] - first.time[0]) / PET_PARTS
+            return exact * float(first.time[1] - first.time[0]) / PET_PARTS  # not · part: it rounds otherwise
     return np.inf
 
 
@@ -178,10 +181,13 @@ def conflicts(tracks: Sequence[Track], concerned: Sequence[int]) -> dict[str, fl
     """
     pairs = [_together(tracks[i], tracks[j]) for i, j in permutations(range(len(tracks)), 2) if {i, j} & set(concerned)]
     pairs = [(i, j) for i, j in pairs if len(i.time) > 1]
+    least = np.inf
+    for i, j in pairs:
+        least = min(least, pet(i, j, below=least))
     return {
         "min_ttc": min((float(ttc(i, j).min()) for i, j in pairs), default=np.inf),
         "max_drac": max((float(drac(i, j).max()) for i, j in pairs), default=0.0),
-        "min_pet": min((pet(i, j) for i, j in pairs), default=np.inf),
+        "min_pet": least,
         "min_headway": min((float(time_headway(i, j).min()) for i, j in pairs), default=np.inf),
         "min_gap": min((float(box_distance(i, j).min()) for i, j in pairs), default=np.inf),
     }
@@ -189,6 +195,8 @@ def conflicts(tracks: Sequence[Track], concerned: Sequence[int]) -> dict[str, fl
 
 def _together(one: Track, other: Track) -> tuple[Track, Track]:
     """Both at the instants at which both are there."""
+    if np.array_equal(one.time, other.time):
+        return one, other
     times = np.intersect1d(one.time, other.time)
     return one[np.isin(one.time, times)], other[np.isin(other.time, times)]
 

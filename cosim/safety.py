@@ -56,21 +56,23 @@ class Boxes:
 
 def boxes_meet(one: Boxes, other: Boxes) -> Bool[np.ndarray, " P"]:
     """Whether the boxes of each pair overlap, by the separating-axis theorem; touching is no overlap."""
-    between = box_centre(other.xy, other.heading, other.length) - box_centre(one.xy, one.heading, one.length)
-    axes, halves = [], []
-    for boxes in (one, other):
-        forward = _direction(boxes.heading)
-        axes.append((forward, np.stack([-forward[:, 1], forward[:, 0]], axis=1)))
-        halves.append((0.5 * boxes.length, 0.5 * boxes.width))
-    apart = np.zeros(len(between), dtype=bool)
-    for axis in (*axes[0], *axes[1]):
-        reach = sum(
-            np.abs((own * axis).sum(-1)) * half
-            for pair, sizes in zip(axes, halves, strict=True)
-            for own, half in zip(pair, sizes, strict=True)
-        )
-        apart |= np.abs((between * axis).sum(-1)) >= reach
+    forward, there = _direction(one.heading), _direction(other.heading)
+    x, y = (other.xy - 0.5 * other.length[:, None] * there - one.xy + 0.5 * one.length[:, None] * forward).T
+    cos, sin = _turned(forward, *there.T)  # of the angle between the boxes
+    cos, sin = np.abs(cos), np.abs(sin)
+    apart = np.zeros(len(x), dtype=bool)
+    for direction, own, their in ((forward, one, other), (there, other, one)):
+        along, across = _turned(direction, x, y)
+        apart |= np.abs(along) >= 0.5 * (own.length + their.length * cos + their.width * sin)
+        apart |= np.abs(across) >= 0.5 * (own.width + their.length * sin + their.width * cos)
     return ~apart
+
+
+def _turned(
+    forward: Float[np.ndarray, "P 2"], x: Float[np.ndarray, " P"], y: Float[np.ndarray, " P"]
+) -> tuple[Float[np.ndarray, " P"], Float[np.ndarray, " P"]]:
+    """Components of vectors along these directions and to the left of them."""
+    return forward[:, 0] * x + forward[:, 1] * y, forward[:, 0] * y - forward[:, 1] * x
 
 
 def _direction(heading: Float[np.ndarray, " V"]) -> Float[np.ndarray, "V 2"]:

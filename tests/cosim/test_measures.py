@@ -53,6 +53,8 @@ def test_pet_of_following_is_the_time_gap_that_was_kept():
     rear, front = track(10 * time, 10.0, time=time), track(30 + 10 * time, 10.0, time=time)
     assert measures.pet(rear, front) == pytest.approx(2.5, abs=0.021)
     assert measures.pet(front, rear) == np.inf
+    assert measures.pet(rear, front, below=1.0) == np.inf  # not looked for
+    assert measures.pet(rear, front, below=2.6) == pytest.approx(2.5, abs=0.021)
 
 
 def test_pet_of_a_merge_counts_only_where_the_first_was_in_the_lane():
