@@ -97,7 +97,8 @@ def provenance(path: Path | str) -> dict[str, Any]:
 
 def objective(path: Path | str) -> str:
     """What the model was trained for: "gri", "nri", "supervised", …; "gri" where the file does not say."""
-    return provenance(path).get("config", {}).get("objective", {}).get("type", "gri").removesuffix("_recorded")
+    name = provenance(path).get("config", {}).get("objective", {}).get("type", "gri")
+    return name.removesuffix("_recorded").removesuffix("_told")
 
 
 _REMAKE = "make it again with `gri train`"

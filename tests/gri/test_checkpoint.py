@@ -125,7 +125,7 @@ def test_released_checkpoints_load_and_are_small(name: str):
 
 @pytest.mark.parametrize(
     ("config", "wanted"),
-    [({"type": "nri"}, "nri"), ({"type": "gri_recorded"}, "gri"), (None, "gri")],
+    [({"type": "nri"}, "nri"), ({"type": "gri_recorded"}, "gri"), ({"type": "gri_told"}, "gri"), (None, "gri")],
 )
 def test_the_objective_is_what_the_model_was_trained_for(tmp_path: Path, config: dict[str, str] | None, wanted: str):
     made = {"config": {"objective": config}} if config else {}
