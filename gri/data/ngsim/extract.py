@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
+from itertools import chain
 from pathlib import Path
 from typing import Literal
 
@@ -70,7 +71,7 @@ def extract(
                         assert motion is not None
                         block, counts = _scenes(kind, recording, motion, rules)
                         rejected.update({(kind, reason): count for reason, count in counts.items()})
-                        for part in (block, *_drawn(kind, recording, motion, rules)):
+                        for part in chain((block,), _drawn(kind, recording, motion, rules)):  # one at a time in memory
                             if len(part.split):
                                 write(part)
                                 scenes.update((str(part.source[0]), kind, str(split)) for split in part.split)
@@ -123,19 +124,27 @@ def _drawn(kind: Kind, recording: Recording, motion: Motion, rules: Rules) -> It
     rows = rows[splits_of(motion.vehicle[rows[:, 0, 0]], rules) != "test"][:, list(drawn.PLACES[reading])]
     generator = np.random.default_rng([rules.seed, recording.clock % 2**32, int(reading[1])])
     for _ in range(rules.drawn):
-        block = _block(kind, recording, motion, rows, GRAPHS[reading], rules)
+        block = _block(kind, recording, motion, rows, GRAPHS[reading], rules, ("x",))
         across = drawn.lateral(len(rows), rules.changing_steps, rules.smoothing.dt, rules.crossing, generator)
         source = np.full(len(rows), recording.site + drawn.MARK, object)
-        yield replace(block, source=source, features={**block.features, **across})
+        single = {name: values.astype(np.float32) for name, values in across.items()}
+        yield replace(block, source=source, features={**block.features, **single})
 
 
 def _block(
-    kind: Kind, recording: Recording, motion: Motion, rows: np.ndarray, graph: tuple[Edge, ...], rules: Rules
+    kind: Kind,
+    recording: Recording,
+    motion: Motion,
+    rows: np.ndarray,
+    graph: tuple[Edge, ...],
+    rules: Rules,
+    axes: Sequence[str] = ("x", "y"),
 ) -> SceneBlock:
-    features = {name: getattr(motion, name)[rows] for name in ("x", "vx", "ax")}
+    """Scenes of rows [S, 3, T], in single precision, as in the file: there are a hundred thousand in a period."""
+    recorded = [axis for axis in axes if axis == "x" or (len(motion) and np.ptp(motion.y) > 0)]
+    names = [before + axis for axis in recorded for before in ("", "v", "a")]
+    features = {name: getattr(motion, name).astype(np.float32)[rows] for name in names}
     features |= {"v": features["vx"], "a": features["ax"]}  # along the road: headings were not recorded
-    if len(motion) and np.ptp(motion.y) > 0:
-        features |= {name: getattr(motion, name)[rows] for name in ("y", "vy", "ay")}
     first = int(recording.rows["frame"].min())
     vehicle = motion.vehicle[rows[:, :, 0]]
     return SceneBlock(
