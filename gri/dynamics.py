@@ -66,6 +66,7 @@ def _like(state: Tensor | np.ndarray, matrix: Callable[[float, torch.dtype], Ten
 
 
 @lru_cache
+@torch.inference_mode(False)  # what is cached serves training too, whoever asked first
 def _point_mass_1d_matrix(dt: float, dtype: torch.dtype) -> Tensor:
     return torch.tensor([[1, dt, 0.5 * dt**2, 0], [0, 1, dt, 0], [0, 0, 1, dt]], dtype=dtype)
 
@@ -83,6 +84,7 @@ def _point_mass_1d_inverse(state: State, next_state: State, dt: float) -> Action
 
 
 @lru_cache
+@torch.inference_mode(False)  # what is cached serves training too, whoever asked first
 def _dubins_matrix(dt: float, dtype: torch.dtype) -> Tensor:
     """Rows x', y', v', θ', a', ω'; columns x, y, v, θ, a, ω, δa, δω, v·cosθ, v·sinθ."""
     matrix = torch.eye(6, 10, dtype=dtype)

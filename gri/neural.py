@@ -24,6 +24,7 @@ def mlp(sizes: Sequence[int], last_scale: float = 1.0) -> nn.Sequential:
 
 
 @lru_cache
+@torch.inference_mode(False)  # what is cached serves training too, whoever asked first
 def edge_ends(n: int) -> tuple[Tensor, Tensor]:
     """Senders and receivers of the E ordered pairs of n vehicles, in the order of the edge axis."""
     senders, receivers = zip(*pairs(n), strict=True)
@@ -31,6 +32,7 @@ def edge_ends(n: int) -> tuple[Tensor, Tensor]:
 
 
 @lru_cache
+@torch.inference_mode(False)  # what is cached serves training too, whoever asked first
 def incidence(n: int) -> Tensor:
     """Matrix [N, E] that sums messages over the edges that enter each vehicle."""
     return nn.functional.one_hot(edge_ends(n)[1], n).T.float()

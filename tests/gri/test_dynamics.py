@@ -68,3 +68,15 @@ def test_numpy_moves_as_torch_does(dynamics: Dynamics, generator: torch.Generato
     action = torch.randn(4, 3, len(dynamics.action), generator=generator, dtype=torch.float64)
     moved = dynamics.step(state.numpy(), action.numpy(), 0.2)
     torch.testing.assert_close(torch.from_numpy(moved), dynamics.step(state, action, 0.2), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("dynamics", [POINT_MASS_1D, DUBINS], ids=lambda d: d.name)
+def test_what_was_driven_first_can_be_learned_from_afterwards(dynamics: Dynamics):
+    """Matrices that are kept from a drive under inference mode do not stand in the way of gradients."""
+    dt = 0.123  # nobody else's, so that it is not kept yet
+    state, action = torch.ones(1, len(dynamics.state)), torch.ones(1, len(dynamics.action))
+    with torch.inference_mode():
+        dynamics.step(state, action, dt)
+    action.requires_grad_()
+    dynamics.step(state, action, dt).sum().backward()
+    assert action.grad is not None
