@@ -29,9 +29,10 @@ STYLE: dict[Any, Any] = {
 
 
 def draw(estimates: pd.DataFrame, kinds: list[str], folder: Path, *, across: bool) -> list[Path]:
-    """PNG and SVG of every perturbation's figure; `across`: vehicles change lanes."""
+    """PNG and SVG of each perturbation that some start was feasible for; `across`: vehicles change lanes."""
     folder.mkdir(parents=True, exist_ok=True)
-    return [path for kind in kinds for path in _saved(curves(estimates, kind, across=across), folder / kind)]
+    shown = [kind for kind in kinds if (estimates["perturbation"] == kind).any()]
+    return [path for kind in shown for path in _saved(curves(estimates, kind, across=across), folder / kind)]
 
 
 def _saved(figure: Figure, stem: Path) -> Iterator[Path]:

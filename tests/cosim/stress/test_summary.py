@@ -85,3 +85,7 @@ def test_figures_are_drawn(rows, tmp_path, across):
 
 def test_an_interrupted_group_counts_for_nobody(rows):
     assert len(counted(rows)) == 10 + 10 + 8 + 7
+
+
+def test_a_perturbation_without_a_feasible_start_has_no_figure(rows, tmp_path):
+    assert draw(estimates(rows), ["latency"], tmp_path, across=False) == []
