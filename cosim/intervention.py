@@ -82,7 +82,7 @@ class Intervention:
         """The perturbed channels of this round; None where they are as they are."""
         names = tuple(" ".join(group.ids) for group in self.task.groups)
         past = tuple(torch.from_numpy(layout.states(frame.state)) for frame in history[:-1])
-        setting = Setting(layout.dynamics, self.task.dt, self.task.driven, self.seed, names, past)
+        setting = Setting(layout.dynamics, self.task.dt, self.task.driven, self.seed, names, self.task.owned, past)
         return signals(self.perturbations, setting)
 
     def displace(self, frame: Frame) -> Frame:

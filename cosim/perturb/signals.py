@@ -11,7 +11,7 @@ from zlib import crc32
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from cosim.perturb.demand import GRAVITY
@@ -27,7 +27,8 @@ Filter = Callable[[int, Tensor], Tensor]
 class Setting:
     """What signals have to know of a round.
 
-    `names` identify its groups, `past` are their states before the take-over, `steps` how many steps there are at most.
+    `names` identify its groups, `owned` are the roles that the policy drives, `past` are the states before the
+    take-over, `steps` how many steps there are at most.
     """
 
     dynamics: Dynamics
@@ -35,21 +36,23 @@ class Setting:
     steps: int
     seed: int
     names: tuple[str, ...]
+    owned: tuple[int, ...]
     past: tuple[Tensor, ...]
 
 
 @dataclass(frozen=True)
 class Signals:
-    """The perturbed channels; `limit` [m/s²] is what the road gives."""
+    """The perturbed channels; `known` is what the policy need not observe, `limit` [m/s²] what the road gives."""
 
     observation: tuple[Filter, ...]
     action: tuple[Filter, ...]
+    known: Bool[Tensor, "3 D"]
     limit: float | None
     dynamics: Dynamics
 
     def see(self, step: int, state: States) -> States:
-        """What the policy sees."""
-        return _through(self.observation, step, state)
+        """What the policy sees, and what it knows of the vehicles that it drives."""
+        return torch.where(self.known, state, _through(self.observation, step, state))
 
     def apply(self, step: int, action: Float[Tensor, "G 3 A"]) -> Float[Tensor, "G 3 A"]:
         """The action that reaches the wheels."""
@@ -95,7 +98,16 @@ def signals(perturbations: Sequence[Perturbation], setting: Setting) -> Signals 
                 limits.append(friction * GRAVITY)
     if not (observation or action or limits):
         return None
-    return Signals(tuple(observation), tuple(action), min(limits, default=None), setting.dynamics)
+    known = _known(setting.owned, setting.dynamics)
+    return Signals(tuple(observation), tuple(action), known, min(limits, default=None), setting.dynamics)
+
+
+def _known(owned: Sequence[int], dynamics: Dynamics) -> Bool[Tensor, "3 D"]:
+    """What a driver feels or has commanded, and so knows at once: its own acceleration and yaw rate."""
+    known = torch.zeros(3, len(dynamics.state), dtype=torch.bool)
+    features = [k for k, name in enumerate(dynamics.state) if name in ("a", "yaw_rate")]
+    known[torch.tensor(owned)[:, None], torch.tensor(features)] = True
+    return known
 
 
 def delay_steps(seconds: float, dt: float) -> int:

@@ -102,14 +102,21 @@ class ObservationNoise(Spec, frozen=True, tag="observation_noise"):
 
 
 class Dropout(Spec, frozen=True, tag="dropout"):
-    """Each vehicle's state is missing with this probability in each step; the last one that was seen stands for it."""
+    """Each vehicle's state is missing with this probability in each step; the last one that was seen stands for it.
+
+    Not so the acceleration and the yaw rate of vehicles that the policy drives, see `Latency`.
+    """
 
     intensity: Share
     symbol, unit, neutral, grades = "probability", "", 0.0, (0.1, 0.2, 0.4, 0.6, 0.8)
 
 
 class Latency(Spec, frozen=True, tag="latency"):
-    """The policy sees all three as they were so long ago."""
+    """The policy sees all three as they were so long ago.
+
+    Of the vehicles that it drives it knows acceleration and yaw rate at once: a driver feels them, and they are sums of
+    its own commands. Were they late, too, every policy that acts by jerk would chase its own past.
+    """
 
     intensity: NonNegative
     symbol, unit, neutral, grades = "latency", "s", 0.0, (0.2, 0.4, 0.6, 0.8, 1.0)

@@ -20,7 +20,7 @@ from cosim.perturb.specs import KINDS, AggressiveDrivers, DenserDemand, LowFrict
 from cosim.scenario import CarFollowing, ConstantVelocity, Driver, Idm, LeftToSumo, Scenario, Trained
 from gri.errors import InputError
 
-FORMAT = 2  # of a chunk's rows; a new number computes every chunk again
+FORMAT = 3  # of a chunk's rows; a new number computes every chunk again
 NOMINAL = "nominal"
 STARTS_PER_CHUNK = 10
 GROUPS_AT_ONCE = 12

@@ -18,7 +18,7 @@ from gri.dynamics import DUBINS, POINT_MASS_1D
 
 def setting(dynamics=POINT_MASS_1D, names=("a b c", "d e f"), seed=1, steps=400):
     past = tuple(torch.full((len(names), 3, len(dynamics.state)), -float(k)) for k in (3, 2, 1))
-    return Setting(dynamics, 0.2, steps, seed, names, past)
+    return Setting(dynamics, 0.2, steps, seed, names, (0, 1), past)
 
 
 def seen(spec, value=None, count=5, **options):
@@ -42,6 +42,16 @@ def test_latency_shows_the_past_and_what_was_before_the_take_over():
     assert seen(Latency(intensity=1.0))[:, 1, 2, 0].tolist() == [-3, -3, -3, -2, -1]
 
 
+@pytest.mark.parametrize("spec", [Latency(intensity=0.4), Dropout(intensity=1.0)], ids=lambda spec: spec.kind)
+def test_a_driver_knows_its_own_acceleration_and_yaw_rate_at_once(spec):
+    found = seen(spec, dynamics=DUBINS)
+    now = torch.arange(5.0, dtype=torch.float64)
+    for role in (0, 1):
+        assert torch.equal(found[:, 0, role, [DUBINS.index("a"), DUBINS.index("yaw_rate")]], now[:, None].expand(5, 2))
+        assert (found[1:, 0, role, : DUBINS.index("a")] < now[1:, None]).all()
+    assert (found[1:, 0, 2] < now[1:, None]).all()  # of the vehicle that it does not drive it knows nothing more
+
+
 def test_delayed_actions_begin_with_none():
     made = signals((ActionDelay(intensity=0.6),), setting())
     assert made is not None
@@ -57,11 +67,11 @@ def test_dropout_holds_what_was_seen_last():
     assert (step >= 0).all()  # never older than what was shown before
     share = (current[1:] > 0).double().mean().item()
     assert share == pytest.approx(0.5, abs=0.04)
-    assert (found[..., 0] == found[..., 1]).all()  # a vehicle is seen whole or not at all
+    assert (found[..., 0] == found[..., 1]).all()  # place and speed are seen together or not at all
 
 
 def test_dropout_of_everything_shows_the_first_state_for_ever():
-    assert (seen(Dropout(intensity=1.0)) == 0).all()
+    assert (seen(Dropout(intensity=1.0))[..., :2] == 0).all()
 
 
 def test_observation_noise_has_its_standard_deviations():
