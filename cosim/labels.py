@@ -104,8 +104,8 @@ def by_rule(told: Told) -> Reactions:
     short = _short(told)
     bound = (told.leader != NOBODY) & (effect < FELT) & (short >= 0)
     slowed = (told.asker != NOBODY) & (short < 0)
-    adapting = _adapting(told) & (told.asker == NOBODY)
-    follow = _follow(told, bound, effect, adapting)
+    adapting = _adapting(told, short) & (told.asker == NOBODY)
+    follow = _follow(told, bound, effect, adapting, short)
     yielding = Heed(np.where(slowed, told.asker, NOBODY), np.where(slowed, short - SLACK, 0.0))
     cut = np.where(told.room < ROOM, told.cut, NOBODY)
     return _with_changes(told, follow, yielding, cut)
@@ -118,7 +118,8 @@ def by_intervention(told: Told, unled: Values, unasked: Values) -> Reactions:
     """
     bound = (told.leader != NOBODY) & (unled < FELT)
     slowed = (told.asker != NOBODY) & (unasked < FELT)
-    follow = _follow(told, bound, unled, _adapting(told) & ~slowed)
+    short = _short(told)
+    follow = _follow(told, bound, unled, _adapting(told, short) & ~slowed, short)
     yielding = Heed(np.where(slowed, told.asker, NOBODY), np.where(slowed, unasked, 0.0))
     return _with_changes(told, follow, yielding, None)
 
@@ -130,19 +131,19 @@ def _short(told: Told) -> Values:
     return (told.v_next - allowed) / told.dt + told.noise + SLACK
 
 
-def _adapting(told: Told) -> Flags:
+def _adapting(told: Told, short: Values) -> Flags:
     """Where a vehicle is held by its target, whom it will drive behind: slower than its own leader explains, and no
     slower than its model would allow behind the target.
     """
     least = (told.v_next - told.beside) / told.dt + told.noise + SLACK
-    return (told.target != NOBODY) & (_short(told) < 0) & (least >= 0)
+    return (told.target != NOBODY) & (short < 0) & (least >= 0)
 
 
-def _follow(told: Told, bound: Flags, effect: Values, adapting: Flags) -> Heed:
+def _follow(told: Told, bound: Flags, effect: Values, adapting: Flags, short: Values) -> Heed:
     """Towards the leader, or else the target."""
     adapting = adapting & ~bound
     whom = np.where(bound, told.leader, np.where(adapting, told.target, NOBODY))
-    return Heed(whom, np.where(bound, effect, np.where(adapting, _short(told) - SLACK, 0.0)))
+    return Heed(whom, np.where(bound, effect, np.where(adapting, short - SLACK, 0.0)))
 
 
 def _with_changes(told: Told, follow: Heed, yielding: Heed, cut: Numbers | None) -> Reactions:

@@ -22,7 +22,7 @@ Overrule = Callable[[InteractionGraph], InteractionGraph]
 
 
 class Pilot:
-    """The model-frame state of all groups of a round and the policy's memory of them.
+    """The model-frame state of all groups of a round and the policy's memory of them; to be used in inference mode.
 
     `owned` are the roles that it drives, `reinfer` [steps] how often it infers the graph anew (0: never again),
     `overrule` what is made of the inferred graph before it counts, `signals` what lies between it and the world.
@@ -54,9 +54,8 @@ class Pilot:
     def _begin(self) -> PolicyState:
         """The policy's memory of the window, under the graph that counts."""
         states = _relative(np.stack(self._window, axis=2))
-        with torch.inference_mode():
-            memory = self._policy.begin(Trajectory.complete(states, self._dt))
-            return memory if memory.graph is None else replace(memory, graph=self._overrule(memory.graph))
+        memory = self._policy.begin(Trajectory.complete(states, self._dt))
+        return memory if memory.graph is None else replace(memory, graph=self._overrule(memory.graph))
 
     def _note(self, time: float) -> None:
         if self._memory.graph is not None:

@@ -51,7 +51,7 @@ class Sumo:
 
     def __init__(self) -> None:
         self._sizes = _Kept(lambda v: (libsumo.vehicle.getLength(v), libsumo.vehicle.getWidth(v)))
-        self._lengths, self._least_gaps = _Kept(libsumo.vehicle.getLength), _Kept(libsumo.vehicle.getMinGap)
+        self._least_gaps = _Kept(libsumo.vehicle.getMinGap)
         self._modes: dict[str, tuple[int, int]] = {}  # (speed mode, lane-change mode) before take-over
         self._twins: set[str] = set()  # vehicles that have one
         self._around: Around | None = None  # what the last snapshot around vehicles found
@@ -127,9 +127,9 @@ class Sumo:
         ids = [v for of_lane in on for v in of_lane]
         position = [*map(_position, ids)]
         leader = [v for of_lane in on if of_lane for v in (*of_lane[1:], "")]  # who is ahead comes later
-        ahead, length, least = [*position[1:], 0.0], self._lengths, self._least_gaps
+        ahead, sizes, least = [*position[1:], 0.0], self._sizes, self._least_gaps
         gap = [
-            p - length[other] - own - least[v] if other else math.inf
+            p - sizes[other][0] - own - least[v] if other else math.inf
             for v, other, own, p in zip(ids, leader, position, ahead, strict=True)
         ]
         for row in [row for row, other in enumerate(leader) if not other]:

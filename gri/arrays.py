@@ -5,11 +5,15 @@ torch costs several times what it computes.
 """
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from functools import lru_cache
+from typing import Any, NamedTuple, ParamSpec, TypeVar, cast
 
 import numpy as np
 import torch
 from torch import Tensor
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 class Arrays(NamedTuple):
@@ -60,3 +64,8 @@ NUMPY = Arrays(
 def arrays_of(value: Tensor | np.ndarray) -> Arrays:
     """The functions for a value's library."""
     return NUMPY if isinstance(value, np.ndarray) else TORCH
+
+
+def kept(make: Callable[P, R]) -> Callable[P, R]:
+    """Keep the tensors that a function makes; they serve training also where a drive in inference mode asked first."""
+    return cast(Callable[P, R], lru_cache(torch.inference_mode(False)(make)))

@@ -8,7 +8,6 @@ step(x, a))` is `a`. Leading axes are free, the feature axis is the last one.
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
-from functools import lru_cache
 from typing import Protocol, TypeVar, runtime_checkable
 
 import numpy as np
@@ -16,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from gri.arrays import arrays_of
+from gri.arrays import arrays_of, kept
 
 State = Float[Tensor, "*batch D"]
 Action = Float[Tensor, "*batch A"]
@@ -65,8 +64,7 @@ def _like(state: Tensor | np.ndarray, matrix: Callable[[float, torch.dtype], Ten
     return matrix(dt, torch.float64).numpy() if isinstance(state, np.ndarray) else matrix(dt, state.dtype)
 
 
-@lru_cache
-@torch.inference_mode(False)  # what is cached serves training too, whoever asked first
+@kept
 def _point_mass_1d_matrix(dt: float, dtype: torch.dtype) -> Tensor:
     return torch.tensor([[1, dt, 0.5 * dt**2, 0], [0, 1, dt, 0], [0, 0, 1, dt]], dtype=dtype)
 
@@ -83,8 +81,7 @@ def _point_mass_1d_inverse(state: State, next_state: State, dt: float) -> Action
     return (next_state[..., 2:3] - state[..., 2:3]) / dt
 
 
-@lru_cache
-@torch.inference_mode(False)  # what is cached serves training too, whoever asked first
+@kept
 def _dubins_matrix(dt: float, dtype: torch.dtype) -> Tensor:
     """Rows x', y', v', θ', a', ω'; columns x, y, v, θ, a, ω, δa, δω, v·cosθ, v·sinθ."""
     matrix = torch.eye(6, 10, dtype=dtype)

@@ -1,12 +1,12 @@
 """Small building blocks the networks share."""
 
 from collections.abc import Sequence
-from functools import lru_cache
 from itertools import pairwise
 
 import torch
 from torch import Tensor, nn
 
+from gri.arrays import kept
 from gri.graph import pairs
 
 
@@ -23,16 +23,14 @@ def mlp(sizes: Sequence[int], last_scale: float = 1.0) -> nn.Sequential:
     return nn.Sequential(*layers[:-1])
 
 
-@lru_cache
-@torch.inference_mode(False)  # what is cached serves training too, whoever asked first
+@kept
 def edge_ends(n: int) -> tuple[Tensor, Tensor]:
     """Senders and receivers of the E ordered pairs of n vehicles, in the order of the edge axis."""
     senders, receivers = zip(*pairs(n), strict=True)
     return torch.tensor(senders), torch.tensor(receivers)
 
 
-@lru_cache
-@torch.inference_mode(False)  # what is cached serves training too, whoever asked first
+@kept
 def incidence(n: int) -> Tensor:
     """Matrix [N, E] that sums messages over the edges that enter each vehicle."""
     return nn.functional.one_hot(edge_ends(n)[1], n).T.float()

@@ -31,21 +31,16 @@ def beside_truth(
 ) -> BesideTruth:
     """Compare graphs, also on those scenes alone whose one graph says all that their steps say."""
     kinds = int(torch.stack([inferred, true]).max()) + 1
-    accuracy, confusion = {}, {}
-    for which, chosen in {"": torch.ones_like(unambiguous), _CLEAR: unambiguous}.items():
-        count = int(chosen.sum())
-        if not count:
-            continue
-        name = which.format(count)
+    accuracy, confusion, parts = {}, {}, {"": torch.ones_like(unambiguous)}
+    if count := int(unambiguous.sum()):
+        parts[f", {count} unambiguous scenes"] = unambiguous
+    for name, chosen in parts.items():
         i, t, h = inferred[chosen], true[chosen], hypothesis[chosen]
         pairs = {"inferred, truth": (i, t), "inferred, hypothesis": (i, h), "hypothesis, truth": (h, t)}
         pairs["most frequent, truth"] = t.mode(0).values.expand_as(t), t
         accuracy |= {f"{what}{name}": metrics.summary(metrics.accuracy(*both)) for what, both in pairs.items()}
         confusion[name] = torch.bincount((t * kinds + i).flatten(), minlength=kinds * kinds).reshape(kinds, kinds)
     return BesideTruth(accuracy, confusion)
-
-
-_CLEAR = ", {} unambiguous scenes"
 
 
 def truth_tables(found: BesideTruth, vocabulary: Vocabulary) -> Iterator[Table]:
