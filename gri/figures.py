@@ -2,9 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any
 
-import matplotlib
 import numpy as np
 import pandas as pd
 import torch
@@ -20,39 +18,11 @@ from gri.data.synthetic import true_reward
 from gri.jobs import Job
 from gri.metrics import edge_frequency
 from gri.ood import Front
+from gri.plots import COLOURS, STYLE, density, frequency_matrix, save
 
-matplotlib.use("Agg")
-STYLE: dict[Any, Any] = {
-    "figure.dpi": 150,
-    "font.size": 9,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "svg.hashsalt": "gri",
-    "savefig.bbox": "tight",
-}
 UNITS = {"x": "x [m]", "y": "y [m]", "v": "v [m/s]"}
 FRONTS = {Front.CONSTANT_SPEED: "vehicle 1 at constant speed", Front.POLICY: "vehicle 1 driven by the policy"}
-COLOURS = {
-    "oracle": "0.45",
-    "GRI": "#0072B2",
-    "Supervised": "#D55E00",
-    "NRI": "#009E73",
-    "NRI, type 0 speaks": "#66C2A5",
-    "GRI (paper, contrast)": "#CC79A7",
-    "GRI (paper, literal)": "#882255",
-    "GRI, tested range held out": "#56B4E9",
-    "GRI-VAIRL": "#E69F00",
-    "GRI-AIRL": "#999933",
-}
 VEHICLE = (4.5, 1.8)  # [m], length and width of the rectangles
-
-
-def save(figure: Figure, out: Path, name: str) -> None:
-    """PNG and SVG of one figure."""
-    out.mkdir(parents=True, exist_ok=True)
-    figure.savefig(out / f"{name}.png")
-    figure.savefig(out / f"{name}.svg", metadata={"Date": None})
-    plt.close(figure)
 
 
 def draw(wanted: Sequence[Job], cache: Path, scenes: Path, curves: pd.DataFrame, out: Path) -> list[str]:
@@ -115,22 +85,6 @@ def _true_frequency(job: Job) -> np.ndarray:
     weights = torch.tensor([float(share.share) for share in shares])
     parts = [edge_frequency(row[None], len(jobs.vocabulary_of(job))) for row in types]
     return torch.einsum("g,gkij->kij", weights / weights.sum(), torch.stack(parts)).numpy()
-
-
-def frequency_matrix(axis: Axes, matrix: np.ndarray, title: str) -> None:
-    """Draw A[receiver, sender] with its values."""
-    shown = np.ma.masked_array(matrix, np.eye(len(matrix), dtype=bool))
-    axis.imshow(shown, vmin=0, vmax=1, cmap="Blues")
-    for i, j in np.argwhere(~np.eye(len(matrix), dtype=bool)):
-        value = matrix[i, j]
-        axis.text(j, i, f"{value:.2f}", ha="center", va="center", fontsize=7, color="white" if value > 0.6 else "black")
-    axis.set_title(title, fontsize=7)
-    axis.set_xticks(range(len(matrix)))
-    axis.set_yticks(range(len(matrix)))
-    axis.tick_params(labelsize=7, length=2)
-    axis.set_xlabel("sender", fontsize=7)
-    axis.set_ylabel("receiver", fontsize=7)
-    axis.spines[:].set_visible(False)
 
 
 def success_curves(scenario: rows.Scenario, curves: pd.DataFrame) -> Figure:
@@ -212,7 +166,7 @@ def densities(job: Job, cache: Path, scenes: Path, samples: int = 400) -> Figure
         other = model.dynamics.index("x")
         points = _between(states[:, vehicle][..., [other, place]]).reshape(-1, 2).numpy()
         recorded = scene.state[0, vehicle][:, [other, place]].numpy()
-        _density(axis, points)
+        density(axis, points)
         axis.plot(recorded[:, 0], recorded[:, 1], color="blue", lw=1.2, label="recorded")
         axis.set_ylabel(UNITS["y" if across else "v"])
         axis.set_title(f"vehicle {vehicle} (colour: square root of the density)", fontsize=9)
@@ -227,24 +181,6 @@ def _between(states: Tensor, parts: int = 8) -> Tensor:
     """Points on the straight lines between successive instants, so that the density does not show the sampling."""
     share = torch.linspace(0, 1, parts + 1)[:-1, None, None, None]
     return (1 - share) * states[:, :-1] + share * states[:, 1:]
-
-
-def _density(axis: Axes, points: np.ndarray, cells: int = 160) -> None:
-    """Gaussian kernel density on a grid: a histogram smoothed by Scott's rule, axis by axis."""
-    low, high = points.min(0), points.max(0)
-    margin = 0.08 * (high - low) + 1e-3
-    edges = [np.linspace(a, b, cells + 1) for a, b in zip(low - margin, high + margin, strict=True)]
-    counts, *_ = np.histogram2d(points[:, 0], points[:, 1], bins=edges)
-    for dimension in (0, 1):
-        width = points[:, dimension].std() * len(points) ** (-1 / 6) * 0.35
-        cell = edges[dimension][1] - edges[dimension][0]
-        offsets = np.subtract.outer(np.arange(cells), np.arange(cells)) * cell
-        kernel = np.exp(-0.5 * (offsets / max(width, cell)) ** 2)
-        counts = np.moveaxis(np.tensordot(kernel, counts, (1, dimension)), 0, dimension)
-    shown = counts.T / counts.max()
-    extent = (edges[0][0], edges[0][-1], edges[1][0], edges[1][-1])
-    axis.imshow(np.sqrt(shown), origin="lower", extent=extent, aspect="auto", cmap="Reds", vmin=0, vmax=1)
-    axis.set_facecolor(matplotlib.colormaps["Reds"](0.0))
 
 
 def example(scenario: rows.Scenario, mine: Sequence[Job], cache: Path) -> Figure:

@@ -10,9 +10,9 @@ import torch
 from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 
-from gri.figures import COLOURS, frequency_matrix
 from gri.metrics import edge_frequency, summary
 from gri.model import MERGE_BEHIND, MERGE_BETWEEN, Edge
+from gri.plots import COLOURS, frequency_matrix
 from gri.recorded_scores import RATIOS, clustered, pooled
 from gri.rows import printed
 from gri.table2 import Row

@@ -17,8 +17,8 @@ from gri.data.ngsim.extract import scene_file
 from gri.data.recorded_ranges import RECORDED
 from gri.data.scenes_file import header_of
 from gri.errors import InputError
-from gri.figures import COLOURS, frequency_matrix
 from gri.metrics import summary
+from gri.plots import COLOURS, frequency_matrix
 from gri.progress import Progress, silent
 from gri.recorded_scores import RATIOS, pooled
 from gri.reproduce import commit

@@ -9,7 +9,7 @@ from matplotlib import pyplot as plt
 from matplotlib.figure import Figure
 
 from gri.data.scenes_file import header_of
-from gri.figures import STYLE, save
+from gri.plots import STYLE, save
 from gri.table2 import Job, Row
 
 Results = list[tuple[Job, dict[str, Any]]]
