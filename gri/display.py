@@ -17,6 +17,7 @@ class Bar:
             *columns, TextColumn("{task.fields[value]:.4g}"), TimeRemainingColumn(), console=console
         )
         self.tasks: dict[str, TaskID] = {}
+        self.tenths: dict[str, int] = {}
 
     def __enter__(self) -> Callable[[str, int, int, float], None]:
         self.display.__enter__()
@@ -27,8 +28,9 @@ class Bar:
 
     def _show(self, what: str, done: int, total: int, value: float) -> None:
         if not console.is_terminal:  # a line for every tenth, so that a log file can be watched
-            if done * 10 // total > (done - 1) * 10 // total:
+            if done * 10 // total > self.tenths.get(what, 0):
                 console.print(f"{what} {done}/{total} {value:.4g}")
+            self.tenths[what] = done * 10 // total
             return
         if what not in self.tasks:
             self.tasks[what] = self.display.add_task(what, total=total, value=value)

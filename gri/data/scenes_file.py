@@ -14,6 +14,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -194,9 +195,18 @@ def _table(block: SceneBlock, first: int, header: Header) -> pa.Table:
     rest = {"unambiguous": block.unambiguous, "vehicle_type": block.vehicle_type}
     columns |= {name: spread(values) for name, values in rest.items() if values is not None}
     layout = schema(header)
-    empty = pa.nulls(count * n * steps)
-    arrays = [pa.array(columns[f.name]) if f.name in columns else empty for f in layout]
-    return pa.Table.from_arrays([a.cast(f.type) for a, f in zip(arrays, layout, strict=True)], schema=layout)
+    arrays = [_column(columns.get(f.name), f.type, count * n * steps) for f in layout]
+    return pa.Table.from_arrays(arrays, schema=layout)
+
+
+def _column(values: np.ndarray | None, kind: pa.DataType, rows: int) -> pa.Array:
+    """Values in the file's type, all null where there are none; words as numbers in the order of their appearance."""
+    if values is None:
+        return pa.nulls(rows, kind)
+    if not pa.types.is_dictionary(kind):
+        return pa.array(values).cast(kind)
+    codes, words = pd.factorize(values)
+    return pa.DictionaryArray.from_arrays(pa.array(codes, pa.int32(), mask=codes < 0), pa.array(words, pa.string()))
 
 
 def _edge_columns(name: str, edges: np.ndarray, n: int) -> dict[str, np.ndarray]:

@@ -3,7 +3,7 @@
 import hashlib
 import tempfile
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import version
 from itertools import chain
@@ -61,20 +61,26 @@ def extract(
     scenes: Counter[tuple[str, str, str]] = Counter()
     rejected: Counter[tuple[str, str]] = Counter()
     reports: list[Quality] = []
+
+    def cut(recording: Recording, write: Callable[[SceneBlock], None]) -> None:
+        """All scenes of one recording; nothing of it stays in memory for the next."""
+        motion, quality = _motion(recording, rules, rejected)
+        reports.append(quality)
+        for kind in kinds if motion is not None else ():
+            assert motion is not None
+            for part in chain(
+                _scenes(kind, recording, motion, rules, rejected), _drawn(kind, recording, motion, rules)
+            ):
+                write(part)
+                scenes.update((str(part.source[0]), kind, str(split)) for split in part.split)
+
     with writing(out, _header(paths, rules, kinds, site)) as write:
         for path in paths:
             with tempfile.TemporaryDirectory(prefix="gri-ngsim-") as folder:
-                for recording in shelve(path, Path(folder), site, progress):
-                    motion, quality = _motion(recording, rules, rejected)
-                    reports.append(quality)
-                    for kind in kinds if motion is not None else ():
-                        assert motion is not None
-                        block, counts = _scenes(kind, recording, motion, rules)
-                        rejected.update({(kind, reason): count for reason, count in counts.items()})
-                        for part in chain((block,), _drawn(kind, recording, motion, rules)):  # one at a time in memory
-                            if len(part.split):
-                                write(part)
-                                scenes.update((str(part.source[0]), kind, str(split)) for split in part.split)
+                shelf = shelve(path, Path(folder), site, progress)
+                for done, recording in enumerate(shelf):
+                    cut(recording, write)
+                    progress(f"cutting {path.name}", done + 1, len(shelf.keys), float(scenes.total()))
         if not scenes:
             raise InputError(f"{', '.join(map(str, paths))}: no scene keeps the rules; see `gri ngsim inspect`")
     return Extracted(scenes, rejected, tuple(reports))
@@ -106,13 +112,18 @@ def _motion(recording: Recording, rules: Rules, rejected: Counter[tuple[str, str
     return smoothed(tracks, rules.smoothing), quality
 
 
-def _scenes(kind: Kind, recording: Recording, motion: Motion, rules: Rules) -> tuple[SceneBlock, Counter[str]]:
+def _scenes(
+    kind: Kind, recording: Recording, motion: Motion, rules: Rules, rejected: Counter[tuple[str, str]]
+) -> Iterator[SceneBlock]:
+    """Recorded scenes of a kind."""
     counts: Counter[str] = Counter()
     if reading := READINGS.get(kind):
         rows, graph = groups(motion, rules, reading, counts), GRAPHS[reading]
     else:
         rows, graph = triples(motion, rules, counts), CHAIN
-    return _block(kind, recording, motion, rows, graph, rules), counts
+    rejected.update({(kind, reason): count for reason, count in counts.items()})
+    for some in _few(rows):
+        yield _block(kind, recording, motion, some, graph, rules)
 
 
 def _drawn(kind: Kind, recording: Recording, motion: Motion, rules: Rules) -> Iterator[SceneBlock]:
@@ -124,11 +135,21 @@ def _drawn(kind: Kind, recording: Recording, motion: Motion, rules: Rules) -> It
     rows = rows[splits_of(motion.vehicle[rows[:, 0, 0]], rules) != "test"][:, list(drawn.PLACES[reading])]
     generator = np.random.default_rng([rules.seed, recording.clock % 2**32, int(reading[1])])
     for _ in range(rules.drawn):
-        block = _block(kind, recording, motion, rows, GRAPHS[reading], rules, ("x",))
-        across = drawn.lateral(len(rows), rules.changing_steps, rules.smoothing.dt, rules.crossing, generator)
-        source = np.full(len(rows), recording.site + drawn.MARK, object)
-        single = {name: values.astype(np.float32) for name, values in across.items()}
-        yield replace(block, source=source, features={**block.features, **single})
+        for some in _few(rows):
+            block = _block(kind, recording, motion, some, GRAPHS[reading], rules, ("x",))
+            across = drawn.lateral(len(some), rules.changing_steps, rules.smoothing.dt, rules.crossing, generator)
+            source = np.full(len(some), recording.site + drawn.MARK, object)
+            single = {name: values.astype(np.float32) for name, values in across.items()}
+            yield replace(block, source=source, features={**block.features, **single})
+
+
+AT_ONCE = 10_000
+"""Scenes held in memory: a period has a hundred thousand."""
+
+
+def _few(rows: np.ndarray) -> Iterator[np.ndarray]:
+    """The rows of up to `AT_ONCE` scenes at a time; nothing where there are none."""
+    return (rows[start : start + AT_ONCE] for start in range(0, len(rows), AT_ONCE))
 
 
 def _block(
@@ -140,7 +161,7 @@ def _block(
     rules: Rules,
     axes: Sequence[str] = ("x", "y"),
 ) -> SceneBlock:
-    """Scenes of rows [S, 3, T], in single precision, as in the file: there are a hundred thousand in a period."""
+    """Scenes of rows [S, 3, T], in single precision, as in the file."""
     recorded = [axis for axis in axes if axis == "x" or (len(motion) and np.ptp(motion.y) > 0)]
     names = [before + axis for axis in recorded for before in ("", "v", "a")]
     features = {name: getattr(motion, name).astype(np.float32)[rows] for name in names}

@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from gri.data.ngsim import extract as ngsim_extract
 from gri.data.ngsim.defects import clean
 from gri.data.ngsim.extract import KINDS, extract, inspect
 from gri.data.ngsim.lane_changing import groups
@@ -17,7 +18,7 @@ from gri.data.scenes_reading import read
 from gri.dynamics import POINT_MASS_1D, POINT_MASS_2D
 from gri.errors import InputError
 from gri.graph import FOLLOWING, EdgeType
-from tests.gri.data.ngsim.conftest import as_text, merging, platoon
+from tests.gri.data.ngsim.conftest import CLOCK, as_portal, as_text, merging, platoon
 
 YIELDING = (EdgeType.NONE, EdgeType.FOLLOW, EdgeType.YIELD)
 
@@ -107,6 +108,19 @@ def test_drawn_lane_changes_are_of_training_vehicles_and_obey_the_dynamics(tmp_p
     np.testing.assert_allclose(moved[..., 1:], state[:, :, 1:, 1:], atol=1e-4)
     across = (state[:, 0, -1, 1] - state[:, 0, 0, 1]).abs()
     np.testing.assert_allclose(across, 3.66, atol=1.2)
+
+
+def test_scenes_are_the_same_however_many_are_in_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    twice = [platoon(3, frames=100, first_id=301), platoon(3, frames=120, first_id=301, clock=CLOCK + 10**7)]
+    portal = as_portal({"us-101": pd.concat(twice)}, tmp_path / "portal.csv")
+    steps, tables = [], []
+    for at_once in (2, 10_000):
+        monkeypatch.setattr(ngsim_extract, "AT_ONCE", at_once)
+        extract([portal], tmp_path / "out.parquet", Rules(drawn=0), progress=lambda *step: steps.append(step))
+        tables.append(pd.read_parquet(tmp_path / "out.parquet"))
+    pd.testing.assert_frame_equal(*tables)
+    assert tables[0]["scene"].nunique() == 12  # starts 0, 5, 10, 15, 20; the second recording has two more
+    assert [step[1:] for step in steps if step[0] == "cutting portal.csv"] == [(1, 2, 5.0), (2, 2, 12.0)] * 2
 
 
 def test_two_lane_changes_are_no_scene(tmp_path: Path):
