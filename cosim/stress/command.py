@@ -37,9 +37,10 @@ def stress(
     began = time.monotonic()
     try:
         with Stages() as progress:
-            rows, seconds = run_stress(parts, folder, workers, progress.tell)
+            rows, made = run_stress(parts, folder, workers, progress.tell)
             command = shlex.join(["cosim", *sys.argv[1:]])
-            facts = {"command": command, "worker_seconds": seconds, "starts": starts, "workers": workers}
+            facts = {"command": command, "worker_seconds": round(made.seconds, 1), "commits": made.commits}
+            facts |= {"starts": starts, "workers": workers}
             written = publish(parts, rows, folder, facts)
     except KeyboardInterrupt:
         errors.print(f"stopped; finished parts are kept in {folder}, the same command goes on", markup=False)

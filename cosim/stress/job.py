@@ -1,9 +1,11 @@
 """One chunk of a stress test: one simulation, at each round a branch per cell and policy."""
 
 import dataclasses
+import json
 import os
 import tempfile
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -33,13 +35,22 @@ BETWEEN_ROUNDS = 4  # looks, a second each, that are passed over after a round
 Rows = list[dict[str, Any]]
 
 
-def stress_chunk(chunk: Chunk, path: Path, tell: Callable[..., None]) -> None:
-    """Compute a chunk and write its rows; the file appears whole or not at all."""
+def stress_chunk(chunk: Chunk, paths: Mapping[str, Path], facts: Mapping[str, Any], tell: Callable[..., None]) -> None:
+    """Compute a chunk and write the rows of each of its parts to the path of its key, with the facts beside them.
+
+    Every file appears whole or not at all. The seconds it took are shared among the parts evenly.
+    """
     torch.set_num_threads(1)
-    rows = rows_of(chunk, tell)
-    partial = path.with_suffix(".partial")
-    pd.DataFrame(rows).assign(chunk=chunk.key, seed=chunk.scenario.seed).to_parquet(partial, index=False)
-    os.replace(partial, path)
+    began, parts = time.monotonic(), chunk.parts
+    rows = pd.DataFrame(rows_of(chunk, tell)).assign(seed=chunk.scenario.seed)
+    seconds = round((time.monotonic() - began) / len(parts), 2)
+    for part in parts:
+        path, (name,) = paths[part.key], part.policies
+        mine = rows[(rows["policy"] == name) & (rows["perturbation"] == part.cells[0].perturbation)]
+        partial = path.with_suffix(".partial")
+        path.with_suffix(".json").write_text(json.dumps({**facts, "seconds": seconds}) + "\n")
+        mine.assign(chunk=part.key).to_parquet(partial, index=False)
+        os.replace(partial, path)
 
 
 def rows_of(chunk: Chunk, tell: Callable[..., None]) -> Rows:

@@ -4,14 +4,15 @@ import json
 import multiprocessing
 import platform
 import subprocess
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 import pandas as pd
 
 from cosim.inputs import checkpoint_path, find_net, sha256
@@ -23,13 +24,22 @@ from cosim.worker import run_in_worker
 Tell = Callable[[str, int, int], None]
 
 
-def run_stress(chunks: Sequence[Chunk], folder: Path, workers: int, tell: Tell) -> tuple[pd.DataFrame, float]:
-    """The rows of all chunks in their order, and the seconds they took; finished ones are read from the folder."""
-    parts = folder / "chunks"
-    parts.mkdir(parents=True, exist_ok=True)
-    paths = {chunk.key: parts / f"{chunk.key}.parquet" for chunk in chunks}
-    starts = {chunk.key: chunk.starts if paths[chunk.key].is_file() else 0 for chunk in chunks}
-    total = sum(chunk.starts for chunk in chunks)
+@dataclass(frozen=True)
+class Made:
+    """How rows were made: the seconds of workers that they took, and the commits of the source trees."""
+
+    seconds: float
+    commits: list[str]
+
+
+def run_stress(chunks: Sequence[Chunk], folder: Path, workers: int, tell: Tell) -> tuple[pd.DataFrame, Made]:
+    """The rows of all chunks in their order, and how they were made; finished parts are read from the folder."""
+    kept = folder / "chunks"
+    kept.mkdir(parents=True, exist_ok=True)
+    paths = {part.key: kept / f"{part.key}.parquet" for chunk in chunks for part in chunk.parts}
+    missing = {chunk.key: [part for part in chunk.parts if not paths[part.key].is_file()] for chunk in chunks}
+    starts = {chunk.key: 0 if missing[chunk.key] else chunk.starts for chunk in chunks}
+    total, facts = sum(chunk.starts for chunk in chunks), {"commit": _commit()}
     tell("starts", sum(starts.values()), total)
 
     def compute(chunk: Chunk) -> None:
@@ -37,15 +47,23 @@ def run_stress(chunks: Sequence[Chunk], folder: Path, workers: int, tell: Tell) 
             starts[chunk.key] = done
             tell("starts", sum(starts.values()), total)
 
-        began, path = time.monotonic(), paths[chunk.key]
-        run_in_worker("cosim.stress.job:stress_chunk", chunk, path, log=path.with_suffix(".log"), tell=told)
-        path.with_suffix(".seconds").write_text(f"{time.monotonic() - began:.1f}\n")
+        wanted, log = chunk.around(missing[chunk.key]), kept / f"{chunk.key}.log"
+        run_in_worker("cosim.stress.job:stress_chunk", wanted, paths, facts, log=log, tell=told)
 
     with ThreadPoolExecutor(workers) as pool:
-        _finish([pool.submit(compute, chunk) for chunk in chunks if not paths[chunk.key].is_file()])
-    rows = pd.concat([pd.read_parquet(path) for path in paths.values()], ignore_index=True)
-    times = [path.with_suffix(".seconds") for path in paths.values()]
-    return rows, sum(float(path.read_text()) for path in times if path.is_file())
+        _finish([pool.submit(compute, chunk) for chunk in chunks if missing[chunk.key]])
+    rows = pd.concat([_joined(chunk, paths) for chunk in chunks], ignore_index=True)
+    made = [json.loads(path.with_suffix(".json").read_text()) for path in paths.values()]
+    return rows, Made(sum(part["seconds"] for part in made), sorted({part["commit"] for part in made}))
+
+
+def _joined(chunk: Chunk, paths: Mapping[str, Path]) -> pd.DataFrame:
+    """The rows of a chunk's parts, in the order of its cells and policies."""
+    rows = pd.concat([pd.read_parquet(paths[part.key]) for part in chunk.parts], ignore_index=True)
+    cells = {(cell.perturbation, cell.intensity): k for k, cell in enumerate(chunk.cells)}
+    graded = zip(rows["perturbation"], rows["intensity"], strict=True)
+    place = pd.Series([cells[kind, None if np.isnan(x) else x] for kind, x in graded])
+    return rows.loc[place.sort_values(kind="stable").index]
 
 
 def _finish(futures: Sequence[Future[None]]) -> None:
@@ -90,11 +108,10 @@ def provenance(chunks: Sequence[Chunk]) -> dict[str, Any]:
     """What it takes to get the same rows again."""
     trained = {name: driver for name, driver in chunks[0].policies.items() if isinstance(driver, Trained)}
     return {
-        "commit": _commit(),
         "seeds": sorted({chunk.scenario.seed for chunk in chunks}),
         "scenario": msgspec.to_builtins(chunks[0].scenario),
         "policies": msgspec.to_builtins(chunks[0].policies),
-        "chunks": {chunk.key: [f"{c.perturbation} {c.intensity}" for c in chunk.cells] for chunk in chunks},
+        "cells": [f"{c.perturbation} {c.intensity}" for c in dict.fromkeys(c for chunk in chunks for c in chunk.cells)],
         "net_sha256": sha256(find_net(chunks[0].scenario.net)),
         "checkpoint_sha256": {name: sha256(checkpoint_path(driver.checkpoint)) for name, driver in trained.items()},
         "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},

@@ -64,6 +64,27 @@ class Chunk(Struct, frozen=True):
         }
         return hashlib.sha256(msgspec.json.encode(facts, order="sorted")).hexdigest()[:12]
 
+    @property
+    def parts(self) -> tuple["Chunk", ...]:
+        """The chunk by kind of perturbation and policy, whose rows are kept apart: who adds a policy or a kind to a
+        stress test need not drive the others again.
+        """
+        kinds = dict.fromkeys(cell.perturbation for cell in self.cells)
+        return tuple(
+            replace(self, policies={name: driver}, cells=tuple(c for c in self.cells if c.perturbation == kind))
+            for kind in kinds
+            for name, driver in self.policies.items()
+        )
+
+    def around(self, parts: Sequence["Chunk"]) -> "Chunk":
+        """The smallest chunk that has all these parts of it."""
+        names, cells = {name for part in parts for name in part.policies}, {c for part in parts for c in part.cells}
+        return replace(
+            self,
+            policies={name: driver for name, driver in self.policies.items() if name in names},
+            cells=tuple(cell for cell in self.cells if cell in cells),
+        )
+
 
 def perturbed(scenario: Scenario, cell: Cell) -> Scenario:
     """The scenario with the cell's perturbation (and none of its own), checked; the traffic is left as it is."""

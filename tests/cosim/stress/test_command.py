@@ -44,12 +44,19 @@ def test_a_stress_test_ends_with_tables_and_figures_and_goes_on_where_it_stopped
     facts = json.loads((folder / "out/stress.json").read_text())
     assert facts["command"].startswith("cosim stress short.yaml --policy idm,sumo")
     assert facts["worker_seconds"] > 0
-    chunk = next((folder / "out/chunks").glob("*.parquet"))
-    before = chunk.stat().st_mtime_ns
+    assert len(facts["commits"]) == 1
+    made = {path: path.stat().st_mtime_ns for path in (folder / "out/chunks").glob("*.parquet")}
+    assert len(made) == 2 * 2  # kinds, the undisturbed one among them, and policies
     again = stress("short.yaml", *OPTIONS, "--out", "out", cwd=folder)
     assert again.returncode == 0, again.stderr
-    assert chunk.stat().st_mtime_ns == before
     pd.testing.assert_frame_equal(pd.read_parquet(folder / "out/episodes.parquet"), rows, check_exact=True)
+    more = stress("short.yaml", *OPTIONS, "--policy", "idm,sumo,constant_velocity", "--out", "out", cwd=folder)
+    assert more.returncode == 0, more.stderr
+    both = pd.read_parquet(folder / "out/episodes.parquet")
+    assert len(both) == 2 * 3 * 3
+    known = both[both["policy"] != "constant_velocity"].reset_index(drop=True)
+    pd.testing.assert_frame_equal(known[rows.columns], rows, check_exact=True)
+    assert made.items() <= {path: path.stat().st_mtime_ns for path in (folder / "out/chunks").glob("*.parquet")}.items()
 
 
 def test_bad_options_are_refused(folder):

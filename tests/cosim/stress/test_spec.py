@@ -5,7 +5,7 @@ from msgspec.structs import replace
 
 from cosim.loading import load_scenario
 from cosim.perturb.specs import KINDS, HeadwayRatio
-from cosim.scenario import Idm, LeftToSumo, Trained
+from cosim.scenario import ConstantVelocity, Idm, LeftToSumo, Trained
 from cosim.stress.spec import Cell, chunks, perturbed, policies_of, sweeps_of
 from gri.errors import InputError
 from gri.resources import checkpoint
@@ -41,6 +41,27 @@ def test_the_key_tells_everything_apart_that_matters(scenario):
     assert key() == key(of=replace(scenario, description="another"))
     others = [key(of=replace(scenario, seed=7)), key(policies={"idm": Idm()}), key(intensity=0.2), key(starts=9)]
     assert len({key(), *others}) == 5
+
+
+def test_rows_are_kept_by_kind_and_policy(scenario):
+    """Who adds a policy, a kind or an intensity drives what is new, and nothing else."""
+
+    def chunk(policies, sweeps):
+        return chunks(scenario, policies, {"latency": (0.2, 0.4)} | sweeps, starts=8)[0]
+
+    before = {part.key for part in chunk(POLICIES, {}).parts}
+    assert len(before) == 2 * 2
+    noise = {"action_noise": (1.0,)}
+    for policies, sweeps, named, kinds in (
+        (POLICIES | {"coasting": ConstantVelocity()}, {}, ["coasting"], ["nominal", "latency", "latency"]),
+        (POLICIES, noise, ["idm", "sumo"], ["action_noise"]),
+    ):
+        whole = chunk(policies, sweeps)
+        assert before <= {part.key for part in whole.parts}
+        new = whole.around([part for part in whole.parts if part.key not in before])
+        assert list(new.policies) == named
+        assert [cell.perturbation for cell in new.cells] == kinds
+        assert {part.key for part in new.parts} == {part.key for part in whole.parts} - before
 
 
 def test_a_cell_perturbs_a_scenario(scenario):
