@@ -61,8 +61,10 @@ class GroundedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     encoder_rate: float = 1e-3
     encoder_lead: int = 0
     """Updates of the encoder before the policy's first: graphs that are still wrong undo what a plan has taught it."""
-    reconstruction: Literal["drawn", "likely"] = "drawn"
-    """Whether recorded scenes are reproduced under graphs drawn from the encoder, or under its most probable ones."""
+    reconstruction: Literal["drawn", "likely", "judged"] = "drawn"
+    """Under which graphs recorded scenes are reproduced: drawn from the encoder, its most probable ones, or those of
+    the posterior, which knows what is to be reproduced; the policy then learns from the scenes that have one.
+    """
     return_batch: int = 32
     return_weight: float = 0.02
     return_fade: float = 1.0
@@ -210,14 +212,15 @@ def fit_encoder_and_policy(
         shown = _look(model, scenes[chosen], settings, generator)
         to_encoder.step(_cross_entropy(posterior[chosen], shown))
     to_policy = Descent(model.decoder.parameters(), settings.policy_rate, settings.updates)
-    for update, chosen in enumerate(batches(len(scenes), settings.batch, settings.updates, generator)):
+    reproduced = len(posterior) if settings.reconstruction == "judged" else len(scenes)
+    for update, chosen in enumerate(batches(reproduced, settings.batch, settings.updates, generator)):
         batch = scenes[chosen]
         known = chosen % len(posterior)
         shown = _look(model, scenes[known], settings, generator)
         with torch.no_grad():
             graph = shown if torch.equal(known, chosen) else _look(model, batch, settings, generator)
         to_encoder.step(_cross_entropy(posterior[known], shown))
-        believed = graph.one_hot if settings.reconstruction == "likely" else graph.sample(generator).detach()
+        believed = _believed(graph, posterior[known], settings, generator)
         driven = rollout(model, batch.start, believed, batch.leader)
         loss = reconstruction_loss(driven.state, batch.state, model.dynamics)
         if settings.action_weight:
@@ -229,6 +232,19 @@ def fit_encoder_and_policy(
             away = distance(model, optima[some], settings.optima_scale)
         to_policy.step(loss + settings.return_weight * faded(update / settings.updates, settings.return_fade) * away)
         progress("encoder and policy", update + 1, settings.updates, float(loss.detach()))
+
+
+def _believed(
+    graph: InteractionGraph, posterior: Float[Tensor, "B E K"], settings: GroundedSettings, generator: torch.Generator
+) -> Float[Tensor, "B E K"]:
+    """The graphs under which scenes are reproduced: the encoder's, or the posterior's."""
+    match settings.reconstruction:
+        case "drawn":
+            return graph.sample(generator).detach()
+        case "likely":
+            return graph.one_hot
+        case "judged":
+            return torch.nn.functional.one_hot(posterior.argmax(-1), posterior.shape[-1]).to(posterior)
 
 
 def _cross_entropy(posterior: Float[Tensor, "B E K"], shown: InteractionGraph) -> Float[Tensor, ""]:

@@ -10,8 +10,10 @@ from gri.decoder import DecoderConfig
 from gri.encoder import EncoderConfig
 from gri.graph import InteractionGraph
 from gri.model import RelationalModel
+from gri.objectives import gri as grounded
 from gri.objectives.gri import GroundedSettings, fit_reward, train_grounded
 from gri.rewards import StructuredReward
+from gri.rollout import rollout
 
 
 @pytest.fixture
@@ -50,3 +52,26 @@ def test_scenes_are_reproduced_under_the_most_probable_graph(
     train_grounded(model, reward, scenes, msgspec.structs.replace(drawn, reconstruction="likely"), 0)
     with pytest.raises(AssertionError, match="drew a graph"):
         train_grounded(model, reward, scenes, drawn, 0)
+
+
+def test_scenes_are_reproduced_under_the_graph_that_their_actions_show(
+    model: RelationalModel, scenes: Scenes, monkeypatch: pytest.MonkeyPatch
+):
+    """Those that have a posterior, under its most probable graph, whatever the encoder makes of them."""
+    told = torch.eye(2)[torch.tensor([[1, 0, 0, 1, 0, 1], [0, 1, 1, 0, 1, 0]])]
+    monkeypatch.setattr(grounded, "scene_posterior", lambda *_: told)
+    used = []
+
+    def watched(model: RelationalModel, start: torch.Tensor, graph: torch.Tensor, *others, **options):
+        used.append((start, graph))
+        return rollout(model, start, graph, *others, **options)
+
+    monkeypatch.setattr(grounded, "rollout", watched)
+    settings = GroundedSettings(
+        reward_updates=1, reward_scenes=4, updates=3, batch=4, return_batch=2, reconstruction="judged", graph_scenes=2
+    )
+    train_grounded(model, StructuredReward(PAPER.reward), scenes, settings, 0)
+    for start, graph in used[::2]:  # the others are those of the return
+        for one, believed in zip(start, graph, strict=True):
+            (scene,) = (k for k in range(2) if torch.equal(one, scenes.start[k]))
+            assert torch.equal(believed, told[scene])
