@@ -115,13 +115,14 @@ def drive(world: Sumo, road: RoadFrame, begin: Start) -> list[Episode]:
             pilot.observe(frame if intervention is None else intervention.show(frame, now), record.active)
         frames.append(frame.carried_on(frames[-1]))
     time = np.array([frame.time for frame in frames])
+    state, valid = (np.stack([getattr(frame, name) for frame in frames], axis=1) for name in ("state", "valid"))
     return [
         Episode(
             driver=task.undriven if begin.driver is None else begin.driver.name,
             group=group,
             time=time,
-            state=np.stack([frame.state[g] for frame in frames]),
-            valid=np.stack([frame.valid[g] for frame in frames]),
+            state=state[g],
+            valid=valid[g],
             driven=record.driven(time, g) & (pilot is not None),
             length=length[g],
             width=width[g],

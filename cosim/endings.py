@@ -25,11 +25,13 @@ def car_following(
     `ahead` are the rows of the next vehicles ahead of the first two. Without a `third` vehicle it is about these two.
     """
     pairs = 2 if third else 1
-    sideways = np.abs(now[..., _D] - before[..., _D]).max(axis=1)
-    between = np.abs(ahead[:, :pairs] - rows[:, 1 : pairs + 1]).max(axis=1)  # 0: the next one ahead is the right one
+    moved = np.abs(now[..., _D] - before[..., _D]) > SAME_LANE
+    broken = ahead[:, :pairs] != rows[:, 1 : pairs + 1]
+    if not moved.any() and not broken.any():
+        return [None] * len(now)
     return [
-        Ending.LANE_LEFT if moved > SAME_LANE else Ending.CUT_IN if others else None
-        for moved, others in zip(sideways.tolist(), between.tolist(), strict=True)
+        Ending.LANE_LEFT if sideways else Ending.CUT_IN if between else None
+        for sideways, between in zip(*(np.logical_or.reduce(of, axis=1) for of in (moved, broken)), strict=True)
     ]
 
 

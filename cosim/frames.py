@@ -57,11 +57,10 @@ class RoadFrame:
     def to_road(self, xy: Float[np.ndarray, "V 2"]) -> tuple[Float[np.ndarray, " V"], Float[np.ndarray, " V"]]:
         """Coordinates (s, d) of world points."""
         start, direction, arc = self._segments
-        x, y = (xy[:, axis, None] - start[:, axis] for axis in (0, 1))  # Shape: (V, M-1)
-        along = x * direction[:, 0] + y * direction[:, 1]
-        across = direction[:, 0] * y - direction[:, 1] * x
         if len(direction) == 1:
-            return along[:, 0] - self.origin, across[:, 0]
+            along, across = _turned(xy[:, 0] - start[0, 0], xy[:, 1] - start[0, 1], direction[0])
+            return along - self.origin, across
+        along, across = _turned(xy[:, :1] - start[:, 0], xy[:, 1:] - start[:, 1], direction.T)  # Shape: (V, M-1)
         low, high = np.zeros(len(direction)), np.diff(arc)
         low[0], high[-1] = -np.inf, np.inf
         overshoot = along - np.clip(along, low, high)
@@ -88,6 +87,11 @@ class RoadFrame:
         if len(direction) == 1:
             return np.zeros(len(s), dtype=int)
         return np.clip(np.searchsorted(arc, s + self.origin, side="right") - 1, 0, len(direction) - 1)
+
+
+def _turned(x: np.ndarray, y: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Components of (x, y) along a direction and to the left of it."""
+    return x * direction[0] + y * direction[1], direction[0] * y - direction[1] * x
 
 
 def without_straight_vertices(line: Float[np.ndarray, "M 2"]) -> Float[np.ndarray, "K 2"]:

@@ -32,7 +32,7 @@ from cosim.perturb.start import (
 from cosim.record import Round
 from cosim.scenario import CarFollowing, Scenario
 from cosim.seen import Frame
-from cosim.snapshot import Snapshot
+from cosim.snapshot import Snapshot, near, rows_of
 from cosim.sumo import Sumo
 
 PHANTOM_AHEAD = 500.0  # [m], where the phantom of a removed vehicle drives
@@ -126,7 +126,7 @@ class Intervention:
 
     def see(self, now: Snapshot, road: RoadFrame) -> Frame:
         """The groups as they are after a step: who has cut in is vehicle 2, who was removed is a phantom."""
-        self.trace.append(now)
+        self.trace.append(now.only(near(now.s, now.d, rows_of(now.ids, self.vehicles))))
         arrived = [change.has_arrived(now) for change in self.changes]
         groups = [
             replace(group, ids=(*group.ids[:2], change.successor)) if there else group

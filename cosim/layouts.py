@@ -49,7 +49,7 @@ class Along:
     def pose(self, state: Float[np.ndarray, "G 3 3"]) -> Pose:
         """Where the dynamics put the vehicles."""
         x, v, a = (state[..., feature] for feature in range(3))
-        return Pose(x - self.offset, self.lateral, np.zeros_like(x), v, a)
+        return Pose(x - self.offset, self.lateral, np.zeros(x.shape), v, a)
 
 
 @dataclass(frozen=True)

@@ -41,6 +41,7 @@ class Pilot:
     ) -> None:
         assert policy.dynamics.name is layout.dynamics.name, f"cannot drive {policy.dynamics.name} states here"
         self._policy, self._layout, self._dt = policy, layout, dt
+        self._dynamics, self._speed = policy.dynamics, policy.dynamics.speed
         self._owned, self._overrule, self._reinfer, self._signals = list(owned), overrule, reinfer, signals
         self._mask: tuple[list[int], np.ndarray] | None = None  # active groups, and who is driven in them
         self._window = deque((layout.states(frame.state) for frame in history), policy.history_steps)
@@ -85,13 +86,12 @@ class Pilot:
 
     def _move(self, action: Float[np.ndarray, "G 3 A"]) -> Float[np.ndarray, "G 3 D"]:
         """The next state by the dynamics, within what the road allows; nobody drives backwards."""
-        dynamics = self._policy.dynamics
-        following = dynamics.step(self._state, action, self._dt)
+        following = self._dynamics.step(self._state, action, self._dt)
         if self._signals is not None:
             following = self._signals.bound(torch.from_numpy(following)).numpy()
-        if dynamics.stop is None or not (following[..., dynamics.speed] < 0).any():  # few ever stand still
+        if self._dynamics.stop is None or not (following[..., self._speed] < 0).any():  # few ever stand still
             return following
-        return dynamics.stop(torch.from_numpy(self._state), torch.from_numpy(following)).numpy()
+        return self._dynamics.stop(torch.from_numpy(self._state), torch.from_numpy(following)).numpy()
 
     def observe(self, frame: Frame, active: Sequence[int]) -> None:
         """Read the world; the vehicles that are driven are where the dynamics put them."""
@@ -101,8 +101,8 @@ class Pilot:
     def stamp(self, frame: Frame, active: Sequence[int]) -> Frame:
         """The frame with the dynamics' acceleration of owned vehicles; SUMO reports the past step's mean instead."""
         state = frame.state.copy()
-        state[..., _A] = np.where(self._driven(active), self._pose.a, state[..., _A])
-        return replace(frame, state=state)
+        np.copyto(state[..., _A], self._pose.a, where=self._driven(active))
+        return Frame(frame.time, state, frame.valid, frame.rows)
 
     def _driven(self, active: Sequence[int]) -> Bool[np.ndarray, "G 3"]:
         """Whose state the policy decides on, of the groups that are driven."""

@@ -48,20 +48,17 @@ class Record:
 
     def __init__(self, task: Round, width: Float[np.ndarray, "G 3"]) -> None:
         self._task, self._width, self._owned = task, width, list(task.owned)
+        self._left_alone = np.array([role not in task.owned for role in range(3)])
         self._inside = np.zeros(len(task.groups), dtype=int)  # steps since vehicle 0 is inside the target lane
+        self.active = list(range(len(task.groups)))  # the groups that did not end yet
         self.endings: dict[int, Ending] = {}
         self.ends: dict[int, float] = {}
         self.events: list[list[Event]] = [[] for _ in task.groups]
 
-    @property
-    def active(self) -> list[int]:
-        """The groups that did not end yet."""
-        return [g for g in range(len(self._task.groups)) if g not in self.endings]
-
     def driven(self, time: Float[np.ndarray, " T"], g: int) -> Bool[np.ndarray, "T 3"]:
         """At which instants, from the first command to the end, which roles stood where they were commanded to."""
         when = (time > self._task.groups[g].time + 1e-6) & (time <= self.ends[g] + 1e-6)
-        return when[:, None] & np.isin(np.arange(3), self._task.owned)
+        return when[:, None] & ~self._left_alone
 
     def _owned_ids(self, g: int) -> tuple[str, ...]:
         return tuple(self._task.groups[g].ids[role] for role in self._task.owned)
@@ -87,7 +84,7 @@ class Record:
         error = np.maximum(np.abs(seen[..., _S] - commanded.s), np.abs(seen[..., _D] - commanded.d))
         error = np.maximum(error, np.abs(seen[..., _V] - commanded.v))
         right = frame.valid & (error <= PLACEMENT_TOLERANCE)
-        if right[:, owned].all():
+        if (right | self._left_alone).all():
             return
         for g in self.active:
             for role in owned:
@@ -111,9 +108,12 @@ class Record:
                 ending = Ending.LATE if isinstance(self._task.rule, Merge) else Ending.HORIZON
             if ending is not None:
                 self.endings[g], self.ends[g] = ending, frame.time
+        self.active = [g for g in active if g not in self.endings]
 
     def _lost(self, frame: Frame, snapshot: Snapshot) -> dict[int, Ending]:
         """The groups of which a vehicle is gone, or a driven one where there is no lane."""
+        if frame.complete and "" not in snapshot.lane:
+            return {}
         there, rows = np.logical_and.reduce(frame.valid, axis=1).tolist(), frame.rows[:, self._owned].tolist()
         off_road = {
             g: Ending.OFF_ROAD for g, owned in enumerate(rows) if there[g] and not all(snapshot.lane[r] for r in owned)
@@ -145,7 +145,8 @@ class Record:
     def _contacts(self, snapshot: Snapshot, frame: Frame, report: StepReport) -> set[int]:
         """Which groups touch something, by our own test; SUMO's opinion and every disagreement become events."""
         active, roles = self.active, 2  # 0 and 1, whoever drives them
-        rows = frame.rows[active, :roles][frame.valid[active, :roles]]
+        rows = frame.rows[active, :roles]
+        rows = rows.ravel() if frame.complete else rows[frame.valid[active, :roles]]
         hits = overlaps(snapshot.xy, snapshot.heading, snapshot.length, snapshot.width, rows)
         ours = {frozenset((snapshot.ids[i], snapshot.ids[j])) for i, j in hits.tolist()}
         theirs = {frozenset(pair) for pair in report.collisions}
@@ -176,10 +177,10 @@ def _rear_first(snapshot: Snapshot, pair: frozenset[str]) -> tuple[str, ...]:
 def hard_braking(frames: Sequence[Frame], g: int, group: Group, owned: Sequence[int], end: float) -> tuple[Event, ...]:
     """The first hard braking of each handed-back vehicle after the end of the drive."""
     a = COLUMNS.index("a")
-    found = []
+    found, later = [], [frame for frame in frames if frame.time > end]
     for role in owned:
-        for frame in frames:
-            if frame.time > end and frame.valid[g, role] and frame.state[g, role, a] < -HARD_BRAKING:
+        for frame in later:
+            if frame.valid[g, role] and frame.state[g, role, a] < -HARD_BRAKING:
                 detail = f"{frame.state[g, role, a]:.2f} m/s^2"
                 found.append(Event(frame.time, EventKind.HARD_BRAKING, (group.ids[role],), detail))
                 break

@@ -27,16 +27,16 @@ def overlaps(
 
     Touching boxes do not overlap: the test is strict.
     """
-    forward = _direction(heading)
-    centre, along = xy - 0.5 * length[:, None] * forward, np.abs(forward)
-    reach = 0.5 * (length[:, None] * along + width[:, None] * along[:, ::-1])  # of the box around the box, in x and y
-    close = np.abs(centre - centre[rows, None]) < reach + reach[rows, None]  # Shape: (R, V, 2)
-    near = close[..., 0] & close[..., 1]
+    forward = np.array([np.cos(heading), np.sin(heading)])  # Shape: (2, V), here and below: long inner loops are fast
+    centre, along = xy.T - 0.5 * length * forward, np.abs(forward)
+    reach = 0.5 * (length * along + width * along[::-1])  # of the box around the box, in x and y
+    close = np.abs(centre[:, None] - centre[:, rows, None]) < reach[:, None] + reach[:, rows, None]
+    near = close[0] & close[1]  # Shape: (R, V)
     near[np.arange(len(rows)), rows] = False
+    if not near.any():
+        return np.empty((0, 2), dtype=int)
     which, j = np.nonzero(near)
     i = rows[which]
-    if not len(i):
-        return np.empty((0, 2), dtype=int)
     boxes = Boxes(xy, heading, length, width)
     return np.stack([i, j], axis=1)[boxes_meet(boxes[i], boxes[j])]
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -26,15 +27,21 @@ class Frame:
         where = snapshot.where
         found = [where.get(vehicle, -1) for group in groups for vehicle in group.ids]
         rows = np.array(found).reshape(-1, 3)
+        valid = rows >= 0
         if -1 not in found:
-            return cls(snapshot.time, snapshot.table[rows], np.ones_like(rows, dtype=bool), rows)
-        valid, rows = rows >= 0, np.maximum(rows, 0)
+            return cls(snapshot.time, snapshot.features(rows), valid, rows)
+        rows = np.maximum(rows, 0)
         if not where:  # nobody at all
             return cls(snapshot.time, np.zeros((*rows.shape, len(COLUMNS))), valid, rows)
-        return cls(snapshot.time, np.where(valid[..., None], snapshot.table[rows], 0.0), valid, rows)
+        return cls(snapshot.time, np.where(valid[..., None], snapshot.features(rows), 0.0), valid, rows)
+
+    @cached_property
+    def complete(self) -> bool:
+        """Whether everybody is there."""
+        return bool(self.valid.all())
 
     def carried_on(self, previous: "Frame") -> "Frame":
         """With the last known state of vehicles that are gone; `valid` keeps saying that they are."""
-        if self.valid.all():
+        if self.complete:
             return self
         return replace(self, state=np.where(self.valid[..., None], self.state, previous.state))

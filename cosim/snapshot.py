@@ -4,9 +4,10 @@ Plain values: whoever has them needs no simulation.
 """
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntFlag
 from functools import cached_property
+from itertools import compress
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -33,13 +34,19 @@ class Snapshot:
     @cached_property
     def where(self) -> dict[str, int]:
         """Row of every vehicle."""
-        return {vehicle: row for row, vehicle in enumerate(self.ids)}
+        return dict(zip(self.ids, range(len(self.ids)), strict=True))
 
-    @cached_property
-    def table(self) -> Float[np.ndarray, "V C"]:
-        """The features of COLUMNS of every vehicle."""
-        features = {"x": self.xy[:, 0], "y": self.xy[:, 1]}
-        return np.array([features[name] if name in features else getattr(self, name) for name in COLUMNS]).T
+    def features(self, rows: Int[np.ndarray, "G N"]) -> Float[np.ndarray, "G N C"]:
+        """The features of COLUMNS of the vehicles in these rows."""
+        place = {"x": self.xy[:, 0], "y": self.xy[:, 1]}
+        found = [(place[name] if name in place else getattr(self, name))[rows] for name in COLUMNS]
+        return np.array(found).transpose(1, 2, 0)
+
+    def only(self, wanted: Bool[np.ndarray, " V"]) -> "Snapshot":
+        """Some of the vehicles."""
+        ids, lane = (tuple(compress(of, wanted)) for of in (self.ids, self.lane))
+        arrays = ("xy", "heading", "v", "a", "s", "d", "length", "width")
+        return replace(self, ids=ids, lane=lane, **{name: getattr(self, name)[wanted] for name in arrays})
 
     def rows(self, ids: Sequence[str]) -> dict[str, int]:
         """Row of each id that is present."""
@@ -115,13 +122,13 @@ class Around:
     """Who can come near the `vehicles` within a few steps: who was not far from them, and who entered since."""
 
     vehicles: tuple[str, ...]
-    ids: list[str]
+    ids: tuple[str, ...]
     age: int = 0  # [steps]
 
     def stepped(self, entered: Sequence[str], gone: Sequence[str]) -> None:
         """One step later."""
-        left = set(gone)
-        self.ids = [vehicle for vehicle in [*self.ids, *entered] if vehicle not in left]
+        if entered or gone:
+            self.ids = tuple([vehicle for vehicle in (*self.ids, *entered) if vehicle not in gone])
         self.age += 1
 
 

@@ -24,7 +24,9 @@ _NO_CHECKS = 0  # speed mode: SUMO neither bounds nor corrects the commanded spe
 _NO_CHANGES = 0  # lane-change mode: SUMO never changes the vehicle's lane
 _KEEP_ROUTE_EXACT_POSITION = 3  # moveToXY: keep the route (1) and do not snap to the lane (2)
 _GIVEN_LANE_EXACT_POSITION = 2  # moveToXY: on the edge and lane that the call names, and do not snap to it
-_LOOK_AROUND = 5  # steps between two looks at everybody; nobody comes 30 m nearer to anybody in between
+_RINGS = ((25, 150.0, 20.0), (5, 30.0, 4.0))
+"""Who is asked where he is: every 25 steps everybody, every 5 those who were at most 150 m along and 20 m across the
+road too far away to be near, in between those who were 30 m and 4 m. Nobody comes nearer than that in so many steps."""
 _TWIN = "twin:"  # prefix of the ids of twins
 _NOWHERE = (libsumo.constants.INVALID_DOUBLE_VALUE,) * 2  # where a vehicle is that is off all lanes
 _LEADER_RANGE = 100.0  # [m] within which leaders are told
@@ -54,7 +56,7 @@ class Sumo:
         self._least_gaps = _Kept(libsumo.vehicle.getMinGap)
         self._modes: dict[str, tuple[int, int]] = {}  # (speed mode, lane-change mode) before take-over
         self._twins: set[str] = set()  # vehicles that have one
-        self._around: Around | None = None  # what the last snapshot around vehicles found
+        self._rings: list[Around] = []  # what the last snapshots around vehicles found, see _RINGS
         self._commanded: set[str] = set()  # vehicles with a moveToXY since the last step
         self.before_step: Callable[[], None] | None = None  # called by `step` before anything moves
 
@@ -65,8 +67,10 @@ class Sumo:
         libsumo.simulationStep()
         self._commanded.clear()
         arrived = libsumo.simulation.getArrivedIDList()
-        if self._around is not None:
-            self._around.stepped(_real(libsumo.simulation.getDepartedIDList()), arrived)
+        if self._rings:
+            departed = _real(libsumo.simulation.getDepartedIDList())
+            for ring in self._rings:
+                ring.stepped(departed, arrived)
         pairs = [(hit.collider, hit.victim) for hit in libsumo.simulation.getCollisions()]
         return StepReport(
             time=libsumo.simulation.getTime(),
@@ -76,19 +80,20 @@ class Sumo:
         )
 
     def snapshot(self, road: RoadFrame, around: Sequence[str] | None = None) -> Snapshot:
-        """Read every vehicle on the road network, or only those near the vehicles `around` (see `_near`)."""
+        """Read every vehicle on the road network, or only those who can be near the vehicles `around`."""
         if around is None:
             ids, xy, s, d = self._positions(road, _real(libsumo.vehicle.getIDList()))
         else:
             ids, xy, s, d = self._positions_around(road, tuple(around))
-        sizes = np.array([size for v in ids for size in self._sizes[v]], dtype=float).reshape(-1, 2)
+        sizes = np.array([*chain.from_iterable(map(self._sizes.__getitem__, ids))], dtype=float).reshape(-1, 2)
+        angle, v, a = np.array([[*map(read, ids)] for read in (_angle, _speed, _acceleration)], dtype=float)
         return Snapshot(
             time=libsumo.simulation.getTime(),
             ids=ids,
             xy=xy,
-            heading=heading_of(np.array([*map(_angle, ids)], dtype=float)),
-            v=np.array([*map(_speed, ids)], dtype=float),
-            a=np.array([*map(_acceleration, ids)], dtype=float),
+            heading=heading_of(angle),
+            v=v,
+            a=a,
             s=s,
             d=d,
             length=sizes[:, 0],
@@ -106,20 +111,20 @@ class Sumo:
         return ids, xy, *road.to_road(xy)
 
     def _positions_around(self, road: RoadFrame, around: tuple[str, ...]) -> _Positions:
-        """Asks everybody where they are only every `_LOOK_AROUND` steps; in between, those who can come near."""
-        last = self._around
-        if last is None or last.vehicles != around or last.age >= _LOOK_AROUND:
-            ids, xy, s, d = self._positions(road, _real(libsumo.vehicle.getIDList()))
-            reach = near(s, d, rows_of(ids, around), along=30.0, across=4.0)
-            self._around = Around(around, [ids[row] for row in np.flatnonzero(reach)])
-        else:
-            try:
-                ids, xy, s, d = self._positions(road, tuple(last.ids))
-            except libsumo.TraCIException:  # somebody vanished without having arrived
-                self._around = None
-                return self._positions_around(road, around)
-        rows = np.flatnonzero(near(s, d, rows_of(ids, around)))
-        return tuple(ids[row] for row in rows), xy[rows], s[rows], d[rows]
+        """Asks where they are only those who can have come near since they were asked last."""
+        rings = self._rings
+        while rings and (rings[-1].vehicles != around or rings[-1].age >= _RINGS[len(rings) - 1][0]):
+            rings.pop()
+        try:
+            ids, xy, s, d = self._positions(road, rings[-1].ids if rings else _real(libsumo.vehicle.getIDList()))
+        except libsumo.TraCIException:  # somebody vanished without having arrived
+            rings.clear()
+            return self._positions_around(road, around)
+        for _, along, across in _RINGS[len(rings) :]:
+            rows = np.flatnonzero(near(s, d, rows_of(ids, around), along, across))
+            ids, xy, s, d = tuple([ids[row] for row in rows.tolist()]), xy[rows], s[rows], d[rows]
+            rings.append(Around(around, ids))
+        return ids, xy, s, d
 
     def driving(self, lanes: Sequence[str]) -> Driving:
         """Read the vehicles on these lanes and what SUMO says of their drivers; shadows of no kind, no twins."""
@@ -241,10 +246,12 @@ class Sumo:
             raise SumoError(
                 f"refused a non-finite command for {vehicle}: x={x}, y={y}, heading={heading}, speed={speed}"
             )
-        edge, _, index = lane.rpartition("_")
         _set_speed(vehicle, speed)
-        mode = _GIVEN_LANE_EXACT_POSITION if lane else _KEEP_ROUTE_EXACT_POSITION
-        _move(vehicle, edge, int(index or -1), x, y, sumo_angle_of(heading), mode)
+        if lane:
+            edge, _, index = lane.rpartition("_")
+            _move(vehicle, edge, int(index), x, y, sumo_angle_of(heading), _GIVEN_LANE_EXACT_POSITION)
+        else:
+            _move(vehicle, "", -1, x, y, sumo_angle_of(heading), _KEEP_ROUTE_EXACT_POSITION)
         self._commanded.add(vehicle)
 
     def is_commanded(self, vehicle: str) -> bool:
