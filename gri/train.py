@@ -57,6 +57,14 @@ def read_train_config(path: Path | str) -> TrainConfig:
     for field in ("train", "validation", "test"):
         if getattr(config.data, field) < 1:
             raise InputError(f"{path}: field data.{field}: got {getattr(config.data, field)}, wanted 1 or more scenes")
+    game = config.objective
+    if (
+        isinstance(game, AdversarialSettings)
+        and game.start
+        and (game.rewards, game.relations) != ("semantic", "inferred")
+    ):
+        got = f"rewards: {game.rewards} and relations: {game.relations}"
+        raise InputError(f"{path}: field objective.start: got {got}, wanted semantic and inferred ones; leave it out")
     return config
 
 

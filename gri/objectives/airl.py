@@ -26,9 +26,23 @@ from gri.graph import InteractionGraph, agents_of, pairs
 from gri.laplace import edge_prior
 from gri.model import RelationalModel
 from gri.objectives.common import Bottleneck, Descent, batches, categorical_kl, updated_beta
+from gri.objectives.discriminator import Judged, airl_logit, discriminator_loss, judge, shaped
+from gri.objectives.planning import PlanSettings, plan_by_optima
 from gri.progress import Progress, silent
-from gri.rewards import ShapedReward
-from gri.rollout import Rollout, log_density, log_prob_of, rollout
+from gri.rewards import ShapedReward, StructuredReward
+from gri.rollout import log_prob_of, rollout
+
+
+class PlannedStart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Who moves before the game: the policy comes near its optimum under the initial reward, then the encoder alone.
+
+    The encoder's slope compares what the policy does under a graph with what was recorded, and says little of the graph
+    while the policy is poor under every one.
+    """
+
+    plan: PlanSettings = PlanSettings()
+    encoder_updates: int = 220
+    encoder_rate: float = 2e-3
 
 
 class AdversarialSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="airl"):
@@ -52,21 +66,19 @@ class AdversarialSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
     """
     expert_term: float = 1.0
     """Weight of the expert's half of J in what the policy maximises; 1 as printed, 0 in AIRL. No label enters."""
+    expert_graph: Literal["drawn", "likely"] = "drawn"
+    """Whether recorded actions are imitated under graphs drawn from the encoder or under its most probable ones: drawn
+    while it is unsure, they teach the policy to do the same under every graph, which takes the encoder's slope away.
+    """
+    policy_clip: float = 10.0
+    """Bound of the norm of the policy's gradient; returns under contradictory graphs are huge."""
+    start: PlannedStart | None = None
+    """Moves before the game; None: all players begin at once. For named rewards and inferred relations only."""
     bottleneck: Bottleneck = Bottleneck()
     rewards: Literal["semantic", "networks"] = "semantic"
     """`networks` replaces the named terms by free functions: the ablation GRI-VAIRL (Appendix C)."""
     relations: Literal["inferred", "all_alike"] = "inferred"
     """`all_alike`: no encoder, every pair has the same relation; with `networks` the ablation GRI-AIRL."""
-
-
-def airl_logit(f: Float[Tensor, "*batch"], log_pi: Float[Tensor, "*batch"]) -> Float[Tensor, "*batch"]:
-    """log D − log(1 − D) = f − log π."""
-    return f - log_pi
-
-
-def discriminator_loss(expert: Float[Tensor, "B R T"], generated: Float[Tensor, "B R T"]) -> Float[Tensor, ""]:
-    """J per vehicle and step from the logits of D: −log D(τ^E) − log(1 − D(τ^G))."""
-    return (softplus(-expert) + softplus(generated)).mean()
 
 
 def edge_gradient(
@@ -94,12 +106,11 @@ def train_adversarial(
     model.decoder.log_sigma.requires_grad_(False)
     learned = [p for name, p in reward.named_parameters() if not name.endswith("log_alpha")]
     inner = settings.updates * settings.reward_updates
-    to_encoder = Descent(model.encoder.parameters(), settings.encoder_rate, inner) if model.encoder else None
+    if settings.start is not None:
+        begin(model, reward, scenes, settings, settings.start, generator, progress)
+    encoder = EncoderPlayer(model, settings, settings.encoder_rate, inner) if model.encoder else None
     to_reward = Descent(learned, settings.reward_rate, inner)
-    policy = [p for p in model.decoder.parameters() if p.requires_grad]
-    to_policy = Descent(policy, settings.policy_rate, settings.updates)
-    prior = edge_prior(len(model.config.vocabulary), settings.bottleneck.no_edge_prior)
-    beta = 0.0
+    to_policy = Descent(model.decoder.parameters(), settings.policy_rate, settings.updates, settings.policy_clip)
     for update in range(settings.updates):
         for chosen in batches(len(scenes), settings.batch, settings.reward_updates, generator):
             batch = scenes[chosen]
@@ -107,50 +118,66 @@ def train_adversarial(
             z = graph.sample(generator)
             judged = judge(model, reward, batch, z.detach(), generator)
             to_reward.step(discriminator_loss(judged.expert, judged.generated))
-            if to_encoder is None:
-                continue
-            kl = categorical_kl(graph.logits, prior).mean()
-            beta = updated_beta(beta, float(kl.detach()), settings.bottleneck)
-            slope = encoder_slope(reward, batch, judged, settings)
-            loss = (z * slope).sum((1, 2)).mean() + z.shape[1] * beta * kl
-            to_encoder.step(loss + settings.logit_penalty * spread(graph.logits))
+            if encoder is not None:
+                encoder.move(reward, batch, graph, z, judged)
         batch = scenes[torch.randint(0, len(scenes), (settings.batch,), generator=generator)]
         value = policy_value(model, reward, batch, model.infer(batch.seen), settings, generator)
         to_policy.step(-value)
         progress("game", update + 1, settings.updates, float(value.detach()))
 
 
+def begin(
+    model: RelationalModel,
+    reward: ShapedReward,
+    scenes: Scenes,
+    settings: AdversarialSettings,
+    start: PlannedStart,
+    generator: torch.Generator,
+    progress: Progress = silent,
+) -> None:
+    """The moves before the game; the reward stays as it is."""
+    assert isinstance(reward.reward, StructuredReward), "only a reward of known terms can be planned on"
+    plan_by_optima(model, reward.reward, scenes, start.plan, generator, progress)
+    encoder = EncoderPlayer(model, settings, start.encoder_rate, start.encoder_updates)
+    total = start.encoder_updates
+    for update, chosen in enumerate(batches(len(scenes), settings.batch, total, generator)):
+        batch = scenes[chosen]
+        graph = model.infer(batch.seen)
+        z = graph.sample(generator)
+        loss = encoder.move(reward, batch, graph, z, judge(model, reward, batch, z.detach(), generator))
+        progress("encoder", update + 1, total, loss)
+
+
+class EncoderPlayer:
+    """The encoder's moves, with the multiplier β of its bottleneck."""
+
+    def __init__(self, model: RelationalModel, settings: AdversarialSettings, rate: float, updates: int) -> None:
+        assert model.encoder is not None, "all relations are given; there is nothing to infer"
+        self.settings, self.beta = settings, 0.0
+        self.prior = edge_prior(len(model.config.vocabulary), settings.bottleneck.no_edge_prior)
+        self.descent = Descent(model.encoder.parameters(), rate, updates)
+
+    def move(
+        self,
+        reward: ShapedReward,
+        batch: Scenes,
+        graph: InteractionGraph,
+        z: Float[Tensor, "B E K"],
+        judged: Judged,
+    ) -> float:
+        """One update from one batch and the graphs z drawn for it; returns the loss."""
+        kl = categorical_kl(graph.logits, self.prior).mean()
+        self.beta = updated_beta(self.beta, float(kl.detach()), self.settings.bottleneck)
+        slope = encoder_slope(reward, batch, judged, self.settings)
+        loss = (z * slope).sum((1, 2)).mean() + z.shape[1] * self.beta * kl
+        loss = loss + self.settings.logit_penalty * spread(graph.logits)
+        self.descent.step(loss)
+        return float(loss.detach())
+
+
 def spread(logits: Float[Tensor, "B E K"]) -> Float[Tensor, ""]:
     """Σ_ij Σ_{k>0} (l_ij,k − l_ij,0)², mean over scenes."""
     return (logits[..., 1:] - logits[..., :1]).square().sum((1, 2)).mean()
-
-
-class Judged(msgspec.Struct, frozen=True):
-    """One batch seen by the discriminator: logits of recorded and generated steps, and the generated roll-out."""
-
-    expert: Tensor
-    generated: Tensor
-    rollout: Rollout
-
-
-def judge(model: RelationalModel, reward: ShapedReward, batch: Scenes, z: Tensor, generator: torch.Generator) -> Judged:
-    """Roll the policy out under z and form the logits of D; differentiable in the reward only."""
-    with torch.no_grad():
-        noise = torch.randn(batch.action.shape, generator=generator)
-        driven = rollout(model, batch.start, z, batch.leader, noise)
-        log_pi_expert = log_prob_of(model, batch.state, batch.action, z)
-        log_pi_generated = log_density(noise, model.decoder.sigma)
-    return Judged(
-        airl_logit(shaped(reward, batch.state, batch.action, z), log_pi_expert),
-        airl_logit(shaped(reward, driven.state, driven.action, z), log_pi_generated),
-        driven,
-    )
-
-
-def shaped(reward: ShapedReward, state: Tensor, action: Tensor, z: Tensor) -> Float[Tensor, "B R T"]:
-    """f_j of the driven vehicles."""
-    idle = action.new_zeros(len(action), state.shape[1] - action.shape[1], *action.shape[2:])
-    return reward(state, torch.cat([action, idle], 1), z)[:, : action.shape[1]]
 
 
 @torch.no_grad()
@@ -186,8 +213,9 @@ def policy_value(
     driven = rollout(model, batch.start, z, batch.leader, noise)
     value = shaped(reward, driven.state, driven.action, z).mean()
     if settings.expert_term:
-        f_expert = shaped(reward, batch.state, batch.action, z).detach()
-        log_pi = log_prob_of(model, batch.state, batch.action, z)
+        shown = z if settings.expert_graph == "drawn" else graph.one_hot.detach()
+        f_expert = shaped(reward, batch.state, batch.action, shown).detach()
+        log_pi = log_prob_of(model, batch.state, batch.action, shown)
         value = value + settings.expert_term * expert_value(f_expert, log_pi, settings.encoder).mean()
     return value
 

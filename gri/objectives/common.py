@@ -80,12 +80,15 @@ LEFT_OUT = 20
 
 
 class Descent:
-    """Adam with a cosine schedule to 2 % of the rate and clipped gradients; `step(loss)` does one update."""
+    """Adam with a cosine schedule to 2 % of the rate and clipped gradients; `step(loss)` does one update.
+
+    Parameters that need no gradient are left as they are.
+    """
 
     def __init__(
         self, parameters: Iterable[nn.Parameter], rate: float, updates: int, clip: float = 10.0, beta: float = 0.9
     ) -> None:
-        self.parameters, self.clip = list(parameters), clip
+        self.parameters, self.clip = [p for p in parameters if p.requires_grad], clip
         self.optimiser = torch.optim.Adam(self.parameters, rate, (beta, 0.99))
         self.schedule = torch.optim.lr_scheduler.CosineAnnealingLR(self.optimiser, updates, eta_min=0.02 * rate)
         self._left_out = 0  # updates in a row

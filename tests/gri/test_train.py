@@ -11,8 +11,10 @@ from gri.data.store import DataConfig, Splits, scenes_of
 from gri.decoder import DecoderConfig
 from gri.encoder import EncoderConfig
 from gri.evaluate import evaluate
-from gri.objectives.airl import AdversarialSettings
+from gri.objectives.airl import AdversarialSettings, PlannedStart
 from gri.objectives.gri import GroundedSettings
+from gri.objectives.optima import OptimaSettings
+from gri.objectives.planning import PlanSettings
 from gri.objectives.supervised import SupervisedSettings
 from gri.train import Objective, TrainConfig, train
 
@@ -59,14 +61,19 @@ def test_grounded_training_finds_graphs_without_labels(folder: Path):
     assert trained.reward is not None
 
 
+QUICK_START = PlannedStart(
+    plan=PlanSettings(updates=2, batch=4, optima=OptimaSettings(scenes=8, sweeps=1, iterations=1), imitation_updates=2),
+    encoder_updates=2,
+)
 OBJECTIVES = [
     GroundedSettings(updates=2, reward_updates=2, batch=4, return_batch=4),
     AdversarialSettings(updates=2, reward_updates=2, batch=4),
+    AdversarialSettings(updates=2, batch=4, start=QUICK_START, expert_graph="likely"),
     SupervisedSettings(updates=2, batch=4),
 ]
 
 
-@pytest.mark.parametrize("objective", OBJECTIVES, ids=["gri", "airl", "supervised"])
+@pytest.mark.parametrize("objective", OBJECTIVES, ids=["gri", "airl", "planned_airl", "supervised"])
 def test_the_same_seed_gives_the_same_model(objective: Objective, folder: Path):
     first, again, other = (train(config(objective, TINY), splits(TINY, folder), seed) for seed in (3, 3, 4))
     for name, tensor in first.model.state_dict().items():
@@ -74,7 +81,7 @@ def test_the_same_seed_gives_the_same_model(objective: Objective, folder: Path):
     assert not torch.equal(first.model.decoder.body.node[0].weight, other.model.decoder.body.node[0].weight)
 
 
-@pytest.mark.parametrize("objective", OBJECTIVES, ids=["gri", "airl", "supervised"])
+@pytest.mark.parametrize("objective", OBJECTIVES, ids=["gri", "airl", "planned_airl", "supervised"])
 def test_a_trained_model_survives_its_checkpoint(objective: Objective, folder: Path, tmp_path: Path):
     trained = train(config(objective, TINY), splits(TINY, folder), 0)
     checkpoint.save(tmp_path / "m.pt", trained.model, trained.reward, trained.provenance)

@@ -1,11 +1,15 @@
 from math import log
+from pathlib import Path
 
 import pytest
 import torch
 from torch.nn.functional import softplus
 
-from gri.objectives.airl import airl_logit, discriminator_loss, edge_gradient, expert_value, spread
+from gri.errors import InputError
+from gri.objectives.airl import edge_gradient, expert_value, spread
 from gri.objectives.common import Bottleneck, updated_beta
+from gri.objectives.discriminator import airl_logit, discriminator_loss
+from gri.train import read_train_config
 
 
 def test_logit_is_that_of_the_papers_discriminator():
@@ -59,3 +63,12 @@ def test_the_penalty_is_on_differences_of_logits():
     logits = torch.tensor([[[1.0, 4.0], [2.0, 2.0]], [[0.0, 1.0], [5.0, 4.0]]])
     assert float(spread(logits)) == (9 + 0 + 1 + 1) / 2
     assert float(spread(logits + 7)) == float(spread(logits))
+
+
+def test_a_start_that_cannot_be_planned_is_refused(tmp_path: Path):
+    path = tmp_path / "own.yaml"
+    path.write_text(
+        "name: own\ndata: {range: paper, graphs: one}\nobjective: {type: airl, start: {}, rewards: networks}\n"
+    )
+    with pytest.raises(InputError, match=r"own.yaml: field objective.start: got rewards: networks"):
+        read_train_config(path)
