@@ -57,7 +57,8 @@ def scenes(
     with Bar() as progress:
         made = extract(files, out, rules, site=site, progress=progress)
     console.print(scene_table(made))
-    console.print(rejection_table(made))
+    if made.rejected.total():
+        console.print(rejection_table(made))
     console.print(f"{sum(made.scenes.values())} scenes in {out}", soft_wrap=True)
     next_command(f"gri train ngsim_car_following --ngsim {out}")
 

@@ -79,7 +79,7 @@ def publish(order: Order, progress: Progress = silent) -> list[Path]:
     content = {
         "command": order.command,
         "commit": commit(),
-        "rows": {row.name: [job.seed for job, _ in results if job.row == row] for row, _ in by_row(results)},
+        "rows": {row.name: [j.seed for j, _ in results if j.row == row and j.site is None] for row, _ in by_row(results)},
         "scenes": header_of(path).provenance,
         "seconds": round(time.monotonic() - began, 1),
         "cpu_seconds": round(sum(result["cpu_seconds"] for _, result in results), 1),
