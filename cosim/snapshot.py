@@ -68,6 +68,11 @@ class Driving:
     leader: list[str]
     gap: list[float]
 
+    @cached_property
+    def where(self) -> dict[str, int]:
+        """Row of every vehicle."""
+        return dict(zip(self.ids, range(len(self.ids)), strict=True))
+
 
 class LaneChange(IntFlag):
     """Bits of SUMO's lane-change state that are used here (SUMO doc: LaneChangeAction)."""

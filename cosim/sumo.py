@@ -35,6 +35,7 @@ _LEADER_RANGE = 100.0  # [m] within which leaders are told
 _raw = libsumo._libsumo
 _position, _speed = _raw.vehicle_getLanePosition, _raw.vehicle_getSpeed
 _point, _angle, _acceleration = _raw.vehicle_getPosition, _raw.vehicle_getAngle, _raw.vehicle_getAcceleration
+_vehicles = _raw.lane_getLastStepVehicleIDs
 _lane, _set_speed, _move = _raw.vehicle_getLaneID, _raw.vehicle_setSpeed, _raw.vehicle_moveToXY
 T = TypeVar("T")
 _NATIVE_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
@@ -128,7 +129,7 @@ class Sumo:
 
     def driving(self, lanes: Sequence[str]) -> Driving:
         """Read the vehicles on these lanes and what SUMO says of their drivers; shadows of no kind, no twins."""
-        on = [libsumo.lane.getLastStepVehicleIDs(lane) for lane in lanes]
+        on = [*map(_vehicles, lanes)]
         ids = [v for of_lane in on for v in of_lane]
         position = [*map(_position, ids)]
         leader = [v for of_lane in on if of_lane for v in (*of_lane[1:], "")]  # who is ahead comes later

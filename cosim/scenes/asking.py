@@ -50,7 +50,7 @@ def wishes(world: Sumo, driving: Driving, candidates: Iterable[int]) -> Wishes:
     """Who asks whom, and who wants to drive behind whom, of the candidates and, as helpers may ask too, the asked."""
     asked: dict[int, tuple[float, str]] = {}
     targets: dict[int, tuple[str, float]] = {}
-    rows = {vehicle: row for row, vehicle in enumerate(driving.ids)}
+    rows = driving.where
     waiting = sorted(candidates)
     seen = set(waiting)
     for row in waiting:  # grows
@@ -77,9 +77,9 @@ def wishes(world: Sumo, driving: Driving, candidates: Iterable[int]) -> Wishes:
 
 def now_behind(driving: Driving, vehicle: str, centres: Sequence[float]) -> int | None:
     """Row of who drives behind a vehicle in its lane, wherever that began; `centres` [m] are those of the lanes."""
-    if vehicle not in driving.ids:
+    if vehicle not in driving.where:
         return None
-    own = centres[driving.lane[driving.ids.index(vehicle)]]
+    own = centres[driving.lane[driving.where[vehicle]]]
     followers = [row for row, leader in enumerate(driving.leader) if leader == vehicle]
     return next((row for row in followers if abs(centres[driving.lane[row]] - own) < SAME_LANE), None)
 

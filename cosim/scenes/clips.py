@@ -54,8 +54,8 @@ def cut(window: Window, tape: Tape, steps: int) -> Clip | None:
     ids = [moments[0].ids[row] for row in rows[:, 0]]
     characters = tuple(tape.world.character(vehicle) for vehicle in ids)
     leader, asker, target = (values[..., COLUMN[name]].astype(int) for name in ("leader", "asker", "target"))
-    after, wanted = np.isin(asker, window.vehicles), np.isin(target, window.vehicles)
-    concerned = np.isin(leader, window.vehicles) | ((after | wanted) & (leader != NOBODY))
+    led, after, wanted = ((whom[..., None] == window.vehicles).any(-1) for whom in (leader, asker, target))
+    concerned = led | ((after | wanted) & (leader != NOBODY))
     behind = _allowed(tape, moments, ids, values, "gap", np.where(concerned, leader, NOBODY))
     beside = _allowed(tape, moments, ids, values, "target_gap", np.where(wanted, target, NOBODY))
     return Clip(window, moments[0].time, characters, values, behind, beside)

@@ -167,17 +167,21 @@ class Tape:
 
     def _moment(self, time: float, driving: Driving, changes: list[Change]) -> Moment:
         numbers, count = self.numbers, len(driving.ids)
-        leaders = [numbers[leader] for leader in driving.leader]
-        values = np.tile(EMPTY, (count, 1))
-        values[:, : len(READ)] = np.array([driving.lane, driving.position, driving.v, leaders, driving.gap]).T
+        leaders = [*map(numbers.__getitem__, driving.leader)]
+        values = np.empty((count, len(COLUMNS)))
+        values[:] = EMPTY
+        read = [driving.lane, driving.position, driving.v, leaders, driving.gap]
+        values[:, : len(READ)] = np.array(read, dtype=float).T
         concerned = self._restless | self._asked
-        wanted = wishes(self.world, driving, [row for row, vehicle in enumerate(driving.ids) if vehicle in concerned])
+        wanted = wishes(
+            self.world, driving, [driving.where[vehicle] for vehicle in concerned if vehicle in driving.where]
+        )
         self._asked = {driving.ids[row] for row in wanted.askers}
         for row, asker in wanted.askers.items():
             values[row, COLUMN["asker"]] = numbers[asker]
         for row, (target, gap) in wanted.targets.items():
-            values[row, [COLUMN["target"], COLUMN["target_gap"]]] = numbers[target], gap
-        row_of = {numbers[vehicle]: row for row, vehicle in enumerate(driving.ids)}
+            values[row, COLUMN["target"]], values[row, COLUMN["target_gap"]] = numbers[target], gap
+        row_of = dict(zip(map(numbers.__getitem__, driving.ids), range(count), strict=True))
         limits = self.world.limits(self.stretch.names)
         return Moment(self.count, time, driving.ids, driving.leader, row_of, values, changes, limits)
 

@@ -9,7 +9,7 @@ import numpy as np
 from cosim.labels import NOBODY
 from cosim.scenes.asking import SAME_LANE, Change
 from cosim.scenes.rules import Kind, Rules
-from cosim.scenes.tape import COLUMN, Lane, Moment
+from cosim.scenes.tape import Lane, Moment
 from cosim.snapshot import LaneChange
 
 Trio = tuple[int, int, int]
@@ -40,15 +40,17 @@ def chains(moments: Sequence[Moment], lanes: Sequence[Lane], counts: Counter[str
     rows = rows_through(moments, there) if there else None
     if rows is None:
         return []
-    values = np.stack([moment.values[rows[:, t]] for t, moment in enumerate(moments)], 1)  # Shape: (V, T, F)
-    leader = values[..., COLUMN["leader"]].astype(int)
-    centre = np.array([lane.centre for lane in lanes])[values[..., COLUMN["lane"]].astype(int)]
+    leader, lane = (
+        np.stack([moment.of(name)[rows[:, t]] for t, moment in enumerate(moments)], 1).astype(int)  # Shape: (V, T)
+        for name in ("leader", "lane")
+    )
+    centre = np.array([lane.centre for lane in lanes])[lane]
     stays = (leader == leader[:, :1]).all(1) & (np.ptp(centre, axis=1) < SAME_LANE)
     counts["leader or lane changes"] += int((~stays).sum())
     ahead = dict(zip(np.array(there)[stays].tolist(), leader[stays, 0].tolist(), strict=True))
     of = dict(zip(there, centre[:, 0].tolist(), strict=True))
     found = [(k, i, ahead[i]) for k, i in ahead.items() if i in ahead and ahead[i] in of]
-    return sorted(trio for trio in found if max(of[v] for v in trio) - min(of[v] for v in trio) < SAME_LANE)
+    return sorted(trio for trio in found if max(at := [of[v] for v in trio]) - min(at) < SAME_LANE)
 
 
 def merge_of(
