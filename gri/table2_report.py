@@ -76,10 +76,11 @@ def publish(order: Order, progress: Progress = silent) -> list[Path]:
     files = [page, *(table2_lanes_report.tables if lanes else _tables)(results, order.out)]
     files += (table2_lanes_report.figures if lanes else _figures)(results, order.out)
     made = order.out / "table2.json"
+    whole = [(job, result) for job, result in results if job.site is None]
     content = {
         "command": order.command,
         "commit": commit(),
-        "rows": {row.name: [j.seed for j, _ in results if j.row == row and j.site is None] for row, _ in by_row(results)},
+        "rows": {row.name: [job.seed for job, _ in whole if job.row == row] for row, _ in by_row(whole)},
         "scenes": header_of(path).provenance,
         "seconds": round(time.monotonic() - began, 1),
         "cpu_seconds": round(sum(result["cpu_seconds"] for _, result in results), 1),
