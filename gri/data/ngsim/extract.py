@@ -97,7 +97,7 @@ def scene_file(source: Path, folder: Path, progress: Progress = silent) -> Path:
     files = [p for p in found if p.name.lower().endswith((".txt", ".csv", ".gz", ".zip"))]
     if not files:
         raise InputError(f"{source}: got no NGSIM files (.txt, .csv, .gz, .zip) and no scene file; give either")
-    key = msgspec.json.encode([[(p.name, p.stat().st_size) for p in files], Rules()])
+    key = msgspec.json.encode([[(p.name, p.stat().st_size) for p in files], Rules(), drawn.OFFSET])
     path = folder / f"ngsim-{hashlib.sha256(key).hexdigest()[:10]}.parquet"
     if not path.is_file():
         extract(files, path, Rules(), progress=progress)
