@@ -6,12 +6,13 @@ import torch
 from gri.data.synthetic import Scenes
 from gri.errors import InputError
 from gri.model import RelationalModel
+from gri.objectives.airl import AdversarialSettings, train_adversarial
 from gri.objectives.gri import fit_encoder_and_policy
 from gri.objectives.nri import NriSettings, train_nri
 from gri.objectives.recorded import RecordedSettings, recorded_posterior
 from gri.objectives.supervised import SupervisedSettings, train_supervised
 from gri.progress import Progress, silent
-from gri.rewards import StructuredReward
+from gri.rewards import ShapedReward, StructuredReward
 from gri.train import TrainConfig
 
 
@@ -32,7 +33,8 @@ def fine_tune(
     seed: int,
     progress: Progress = silent,
 ) -> None:
-    """Train the model on in place. Rewards stay: grounded models get the posterior of the new scenes from theirs.
+    """Train the model on in place. Rewards stay, as grounded models get the posterior of the new scenes from theirs;
+    but in the game they go on learning.
 
     Errors: `InputError` for objectives that cannot be taken up again.
     """
@@ -54,6 +56,12 @@ def fine_tune(
             posterior = recorded_posterior(model, reward.requires_grad_(False), scenes, settings)
             generator = torch.Generator().manual_seed(seed)
             fit_encoder_and_policy(model, reward, scenes, posterior, settings, generator, progress)
+        case AdversarialSettings() as settings:
+            assert reward is not None, "a grounded model comes with its reward"
+            rates = {name: slower * getattr(settings, name) for name in ("policy_rate", "encoder_rate", "reward_rate")}
+            settings = msgspec.structs.replace(settings, updates=tuning.updates, **rates)
+            shaped = ShapedReward(reward.requires_grad_(True), model.config.scale)  # its potentials are not kept
+            train_adversarial(model, shaped, scenes, settings, seed, progress)
         case other:
-            raise InputError(f"got objective {type(other).__name__}, wanted one of gri_recorded, nri, supervised")
+            raise InputError(f"got objective {type(other).__name__}, wanted one of airl, gri_recorded, nri, supervised")
     model.requires_grad_(False).eval()

@@ -19,7 +19,7 @@ from gri.evaluate import evaluate
 from gri.graph import EdgeType, pairs
 from gri.model import Edge, ModelConfig, RelationalModel
 from gri.network_reward import NetworkReward
-from gri.objectives.airl import AdversarialSettings, train_adversarial
+from gri.objectives.airl import AdversarialSettings, in_the_game, train_adversarial
 from gri.objectives.gri import GroundedSettings, train_grounded
 from gri.objectives.nri import NriSettings, train_nri
 from gri.objectives.recorded import RecordedSettings, train_recorded
@@ -111,7 +111,7 @@ def train(config: TrainConfig, splits: Splits, seed: int, progress: Progress = s
             networks = NetworkReward(scenes.scale, model.config.vocabulary)
             train_adversarial(model, ShapedReward(networks, scenes.scale), splits.train, settings, seed, progress)
         case AdversarialSettings() as settings:
-            reward = StructuredReward(scenes.reward)
+            reward = StructuredReward(in_the_game(scenes.reward))
             train_adversarial(model, ShapedReward(reward, scenes.scale), splits.train, settings, seed, progress)
     return Trained(model.requires_grad_(False).eval(), reward, _provenance(config, seed, began, model, splits))
 

@@ -29,7 +29,7 @@ from gri.objectives.common import Bottleneck, Descent, batches, categorical_kl, 
 from gri.objectives.discriminator import Judged, airl_logit, discriminator_loss, judge, shaped
 from gri.objectives.planning import PlanSettings, plan_by_optima
 from gri.progress import Progress, silent
-from gri.rewards import ShapedReward, StructuredReward
+from gri.rewards import AnyRewardConfig, NaturalisticConfig, ShapedReward, StructuredReward
 from gri.rollout import log_prob_of, rollout
 
 
@@ -79,6 +79,19 @@ class AdversarialSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
     """`networks` replaces the named terms by free functions: the ablation GRI-VAIRL (Appendix C)."""
     relations: Literal["inferred", "all_alike"] = "inferred"
     """`all_alike`: no encoder, every pair has the same relation; with `networks` the ablation GRI-AIRL."""
+
+
+RATIONALITY = 0.04
+"""By what rewards of recorded traffic are multiplied in the game, which learns no α: the α that GRI finds by likelihood
+(car following). With 1, f is −300 per step where log π is −4, as nobody drives at the free speed.
+"""
+
+
+def in_the_game(config: AnyRewardConfig) -> AnyRewardConfig:
+    """The reward's configuration as the game has it."""
+    if isinstance(config, NaturalisticConfig):
+        return msgspec.structs.replace(config, temperature=RATIONALITY)
+    return config
 
 
 def edge_gradient(

@@ -132,8 +132,8 @@ def test_every_window_is_tested_once_by_a_model_that_never_saw_its_vehicles(
 
 
 @pytest.mark.slow
-def test_grounded_models_and_nri_are_fine_tuned_and_written_up(lane_file: Path, tmp_path: Path, short: None):
-    written = publish(Order(LC, lane_file, 1, tmp_path / "out", tmp_path / "jobs", ("GRI", "NRI")))
+def test_grounded_models_the_game_and_nri_are_fine_tuned_and_written_up(lane_file: Path, tmp_path: Path, short: None):
+    written = publish(Order(LC, lane_file, 1, tmp_path / "out", tmp_path / "jobs", ("GRI", "GRI (paper)", "NRI")))
     text = (tmp_path / "out/table2.md").read_text()
     assert "4 recorded windows in 2 groups that share no vehicle" in text
     assert "| GRI, drawn only |" in text

@@ -5,10 +5,12 @@ import pytest
 import torch
 from torch.nn.functional import softplus
 
+from gri.data.recorded_ranges import NGSIM_CAR_FOLLOWING
 from gri.errors import InputError
-from gri.objectives.airl import edge_gradient, expert_value, spread
+from gri.objectives.airl import RATIONALITY, edge_gradient, expert_value, in_the_game, spread
 from gri.objectives.common import Bottleneck, updated_beta
 from gri.objectives.discriminator import airl_logit, discriminator_loss
+from gri.rewards import NaturalisticConfig, RewardConfig
 from gri.train import read_train_config
 
 
@@ -72,3 +74,8 @@ def test_a_start_that_cannot_be_planned_is_refused(tmp_path: Path):
     )
     with pytest.raises(InputError, match=r"own.yaml: field objective.start: got rewards: networks"):
         read_train_config(path)
+
+
+def test_rewards_of_recorded_traffic_are_scaled_in_the_game_and_others_are_not():
+    assert in_the_game(NGSIM_CAR_FOLLOWING.reward) == NaturalisticConfig(temperature=RATIONALITY)
+    assert in_the_game(RewardConfig()) == RewardConfig()
