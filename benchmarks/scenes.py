@@ -1,24 +1,23 @@
 """Cutting labelled scenes out of traffic ÷ bare SUMO stepping of the same traffic, side by side in one run.
 
-    python benchmarks/scenes.py [SCENARIO] [--rounds 3] [--steps 1500]
+    python benchmarks/scenes.py [SCENARIO] [--rounds 3] [--steps 1000]
 
-Both sides simulate the same seed, each in a process of its own, one after the other. One steps the traffic bare, one
-does everything `cosim scenes` does with rule labels: reading, asking, searching, cutting, labelling, writing. CPU time
-after the warm-up. Where other work comes and goes on the machine the two sides meet unlike conditions; the second ratio
-is that of all CPU time of the filming side to what it spent stepping.
+Both sides are branches of one warmed-up simulation and start from the same state. One steps the traffic bare, one does
+everything `cosim scenes` does with rule labels: reading, asking, searching, cutting, labelling, writing. They take
+turns every 50 steps, so that whatever else the machine does slows both alike. CPU time; the second ratio is that of all
+CPU time of the filming side to what it spent stepping.
 """
 
 import argparse
 import statistics
 import tempfile
 import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterator
 from contextlib import contextmanager
-from multiprocessing import get_context
 from pathlib import Path
 
 import pandas  # noqa: F401  pyarrow brings it with the first table, once per process
+from turns import side_by_side
 
 from cosim.inputs import find_net
 from cosim.loading import load_scenario
@@ -28,34 +27,33 @@ from cosim.snapshot import StepReport
 from cosim.sumo import Sumo
 from gri.data.scenes_file import Header, writing
 
+TURN = 50  # steps
+BETWEEN = 100  # steps from one round to the next
 Side = tuple[float, float, int]
-"""CPU time per step [s] after the warm-up; of that, in SUMO's own step; scenes."""
+"""CPU time per step [s]; of that, in SUMO's own step; scenes."""
 
 
-def bare(name: str, steps: int) -> Side:
+def bare(world: Sumo, steps: int) -> Side:
     """Steps only."""
-    with warmed(name, steps) as (world, _, _):
-        began = time.process_time()
-        for _ in range(steps):
-            world.step()
-        spent = (time.process_time() - began) / steps
-        return spent, spent, 0
+    began = time.process_time()
+    for _ in range(steps):
+        world.step()
+    spent = (time.process_time() - began) / steps
+    return spent, spent, 0
 
 
-def filming(name: str, steps: int) -> Side:
+def filming(world: Sumo, spec: Spec, steps: int, file: Path) -> Side:
     """Steps and cuts scenes."""
-    with warmed(name, steps) as (world, spec, folder):
-        stepping = _timed(world)
-        began = time.process_time()
-        reel = Reel(world, spec)
-        with writing(folder / "scenes.parquet", Header(dt=DT)) as write:
-            for _ in range(steps):
-                for block in reel.next(reel.tape.advance()):
-                    write(block)
-            for block in reel.developed():
+    stepping, began = _timed(world), time.process_time()
+    reel = Reel(world, spec)
+    with writing(file, Header(dt=DT)) as write:
+        for _ in range(steps):
+            for block in reel.next(reel.tape.advance()):
                 write(block)
-        found = sum(tally.scenes for tally in reel.sieve.tallies.values())
-        return (time.process_time() - began) / steps, sum(stepping) / steps, found
+        for block in reel.developed():
+            write(block)
+    spent = (time.process_time() - began) / steps
+    return spent, sum(stepping) / steps, sum(tally.scenes for tally in reel.sieve.tallies.values())
 
 
 def _timed(world: Sumo) -> list[float]:
@@ -74,7 +72,7 @@ def _timed(world: Sumo) -> list[float]:
 
 @contextmanager
 def warmed(name: str, steps: int) -> Iterator[tuple[Sumo, Spec, Path]]:
-    """The scenario's traffic after its warm-up."""
+    """The scenario's traffic after its warm-up, with demand for so many steps more."""
     scenario = load_scenario(name)
     spec = Spec(scenario=scenario, source="", split="train", kinds=KINDS, count=10**6, gold=False, rules=Rules())
     end = scenario.traffic.warm_up + steps * scenario.step
@@ -91,24 +89,26 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("scenario", nargs="?", default="us101_merge")
     parser.add_argument("--rounds", type=int, default=3)
-    parser.add_argument("--steps", type=int, default=1500)
+    parser.add_argument("--steps", type=int, default=1000)
     options = parser.parse_args()
     ratios, own = [], []
-    for _ in range(options.rounds):
-        alone, together = (_apart(side, options.scenario, options.steps) for side in (bare, filming))
-        ratios.append(together[0] / alone[0])
-        own.append(together[0] / together[1])
-        milliseconds = [f"{1e3 * side[0]:.2f} ms" for side in (alone, together)]
-        both = f"ratio {ratios[-1]:.2f}, to its own stepping {own[-1]:.2f}"
-        print(f"bare {milliseconds[0]}, filming {milliseconds[1]}, {both}, {together[2]} scenes", flush=True)
+    with warmed(options.scenario, options.steps + options.rounds * BETWEEN) as (world, spec, folder):
+        for _ in range(options.rounds):
+            alone, together = side_by_side(
+                world,
+                TURN,
+                lambda: bare(world, options.steps),
+                lambda: filming(world, spec, options.steps, folder / "scenes.parquet"),
+            )
+            ratios.append(together[0] / alone[0])
+            own.append(together[0] / together[1])
+            milliseconds = [f"{1e3 * side[0]:.2f} ms" for side in (alone, together)]
+            both = f"ratio {ratios[-1]:.2f}, to its own stepping {own[-1]:.2f}"
+            print(f"bare {milliseconds[0]}, filming {milliseconds[1]}, {both}, {together[2]} scenes", flush=True)
+            for _ in range(BETWEEN):
+                world.step()
     medians = f"{statistics.median(ratios):.2f}, to its own stepping {statistics.median(own):.2f}"
     print(f"median ratio {medians} over {len(ratios)} rounds")
-
-
-def _apart(side: Callable[[str, int], Side], name: str, steps: int) -> Side:
-    """One side in a process of its own."""
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        return pool.submit(side, name, steps).result()
 
 
 if __name__ == "__main__":

@@ -2,9 +2,10 @@
 
     python benchmarks/step_cost.py [--scenario us101_car_following] [--groups 10] [--rounds 5]
 
-Both sides are branches of one warmed-up simulation and start from the same state. A round steps the traffic bare,
-then with the groups driven (reading, inference of the graph, model, commands, collision test and recording included),
-three times each in turn, and compares the medians. Groups of a merge seldom come ten at once. CPU time of the process.
+Both sides are branches of one warmed-up simulation and start from the same state. One steps the traffic bare, one with
+the groups driven (reading, inference of the graph, model, commands, collision test and recording included). They take
+turns every five steps, so that whatever else the machine does slows both alike. A round does that seven times; its
+ratio is the median. Groups of a merge seldom come ten at once. CPU time.
 """
 
 import argparse
@@ -16,8 +17,8 @@ from pathlib import Path
 
 import torch
 from msgspec.structs import replace
+from turns import side_by_side
 
-from cosim.branch import fork
 from cosim.closed_loop import Files, RunningRoad, Trunk, simulation
 from cosim.driving import Driver, Start, drive, start
 from cosim.inputs import find_net
@@ -28,7 +29,7 @@ from cosim.scenario import Scenario
 from cosim.snapshot import Snapshot
 from cosim.traffic import route_file
 
-REPEATS = 3
+REPEATS, TURN = 7, 5
 BETWEEN = 10.0  # [s] from one round to the next attempt to find groups
 
 
@@ -47,17 +48,19 @@ def bare(road: RunningRoad, steps: int) -> float:
     return (time.process_time() - began) / steps
 
 
-def compare(road: RunningRoad, history: Sequence[Snapshot], task: Round, driver: Driver) -> tuple[float, float]:
-    """Median CPU seconds per step, bare and driven, of branches in turn."""
+def compare(road: RunningRoad, history: Sequence[Snapshot], task: Round, driver: Driver) -> tuple[float, float, float]:
+    """Medians: CPU seconds per step, bare and driven, and their ratio."""
     alone, together = [], []
     for _ in range(REPEATS):
         began = time.process_time()
         begin = start(road.frame, history, task, driver)
         ready = time.process_time() - began
-        cost, steps = fork(lambda: driven(road, begin)).result()  # noqa: B023
+        both = lambda: driven(road, begin), lambda: bare(road, task.driven)  # noqa: B023
+        (cost, steps), spent = side_by_side(road.world, TURN, *both)
         together.append((ready + cost) / steps)
-        alone.append(fork(lambda: bare(road, steps)).result())  # noqa: B023
-    return statistics.median(alone), statistics.median(together)
+        alone.append(spent)
+    ratio = statistics.median(whole / step for whole, step in zip(together, alone, strict=True))
+    return statistics.median(alone), statistics.median(together), ratio
 
 
 def ratios(road: RunningRoad, scenario: Scenario, driver: Driver, rounds: int) -> list[float]:
@@ -72,11 +75,11 @@ def ratios(road: RunningRoad, scenario: Scenario, driver: Driver, rounds: int) -
         task = trunk.find(history, limit=scenario.groups_at_once)
         if not task.groups:
             continue
-        alone, together = compare(road, history, task, driver)
-        found.append(together / alone)
+        alone, together, ratio = compare(road, history, task, driver)
+        found.append(ratio)
         print(
             f"{len(task.groups)} groups among {len(history[-1].ids)} vehicles: bare {1e3 * alone:.2f} ms,"
-            f" driven {1e3 * together:.2f} ms, ratio {found[-1]:.2f}",
+            f" driven {1e3 * together:.2f} ms, ratio {ratio:.2f}",
             flush=True,
         )
     return found

@@ -1,0 +1,41 @@
+"""Two branches of a simulation that take turns, so that whatever else the machine does slows both alike."""
+
+from collections.abc import Callable
+from multiprocessing import get_context
+from multiprocessing.synchronize import Semaphore
+from typing import TypeVar
+
+from cosim.branch import fork
+from cosim.snapshot import StepReport
+from cosim.sumo import Sumo
+
+A = TypeVar("A")
+B = TypeVar("B")
+R = TypeVar("R")
+
+
+def side_by_side(world: Sumo, every: int, one: Callable[[], A], other: Callable[[], B]) -> tuple[A, B]:
+    """What both functions return, each run in a branch of its own; they step the world in turns of so many steps."""
+    first, second = (get_context("fork").Semaphore(value) for value in (1, 0))
+
+    def taking_turns(work: Callable[[], R], mine: Semaphore, theirs: Semaphore) -> R:
+        step, count = world.step, 0
+
+        def in_turn() -> StepReport:
+            nonlocal count
+            if count % every == 0:
+                if count:
+                    theirs.release()
+                mine.acquire()
+            count += 1
+            return step()
+
+        world.step = in_turn
+        try:
+            return work()
+        finally:
+            for _ in range(1_000_000 // every):  # the other one need not wait any more
+                theirs.release()
+
+    branches = fork(lambda: taking_turns(one, first, second)), fork(lambda: taking_turns(other, second, first))
+    return branches[0].result(), branches[1].result()
