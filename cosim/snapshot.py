@@ -124,17 +124,17 @@ class Strip:
 
 @dataclass
 class Around:
-    """Who can come near the `vehicles` within a few steps: who was not far from them, and who entered since."""
+    """Who can come near the `vehicles` within some seconds: who was not far from them, and who entered since."""
 
     vehicles: tuple[str, ...]
     ids: tuple[str, ...]
-    age: int = 0  # [steps]
+    age: float = 0.0  # [s]
 
-    def stepped(self, entered: Sequence[str], gone: Sequence[str]) -> None:
-        """One step later."""
+    def stepped(self, entered: Sequence[str], gone: Sequence[str], dt: float) -> None:
+        """One step of dt [s] later."""
         if entered or gone:
             self.ids = tuple([vehicle for vehicle in (*self.ids, *entered) if vehicle not in gone])
-        self.age += 1
+        self.age += dt
 
 
 def near(

@@ -24,9 +24,10 @@ _NO_CHECKS = 0  # speed mode: SUMO neither bounds nor corrects the commanded spe
 _NO_CHANGES = 0  # lane-change mode: SUMO never changes the vehicle's lane
 _KEEP_ROUTE_EXACT_POSITION = 3  # moveToXY: keep the route (1) and do not snap to the lane (2)
 _GIVEN_LANE_EXACT_POSITION = 2  # moveToXY: on the edge and lane that the call names, and do not snap to it
-_RINGS = ((25, 150.0, 20.0), (5, 30.0, 4.0))
-"""Who is asked where he is: every 25 steps everybody, every 5 those who were at most 150 m along and 20 m across the
-road too far away to be near, in between those who were 30 m and 4 m. Nobody comes nearer than that in so many steps."""
+_RINGS = ((5.0, 150.0, 20.0), (1.0, 30.0, 4.0))
+"""Who is asked where he is: every 5 s everybody, every second those who were at most 150 m along and 20 m across the
+road too far away to be near, in between those who were 30 m and 4 m. Nobody comes nearer than that in so little time.
+"""
 _TWIN = "twin:"  # prefix of the ids of twins
 _NOWHERE = (libsumo.constants.INVALID_DOUBLE_VALUE,) * 2  # where a vehicle is that is off all lanes
 _LEADER_RANGE = 100.0  # [m] within which leaders are told
@@ -71,7 +72,7 @@ class Sumo:
         if self._rings:
             departed = _real(libsumo.simulation.getDepartedIDList())
             for ring in self._rings:
-                ring.stepped(departed, arrived)
+                ring.stepped(departed, arrived, libsumo.simulation.getDeltaT())
         pairs = [(hit.collider, hit.victim) for hit in libsumo.simulation.getCollisions()]
         return StepReport(
             time=libsumo.simulation.getTime(),
@@ -114,7 +115,7 @@ class Sumo:
     def _positions_around(self, road: RoadFrame, around: tuple[str, ...]) -> _Positions:
         """Asks where they are only those who can have come near since they were asked last."""
         rings = self._rings
-        while rings and (rings[-1].vehicles != around or rings[-1].age >= _RINGS[len(rings) - 1][0]):
+        while rings and (rings[-1].vehicles != around or rings[-1].age > _RINGS[len(rings) - 1][0] - 1e-6):
             rings.pop()
         try:
             ids, xy, s, d = self._positions(road, rings[-1].ids if rings else _real(libsumo.vehicle.getIDList()))
