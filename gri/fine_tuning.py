@@ -59,7 +59,7 @@ def fine_tune(
         case AdversarialSettings() as settings:
             assert reward is not None, "a grounded model comes with its reward"
             rates = {name: slower * getattr(settings, name) for name in ("policy_rate", "encoder_rate", "reward_rate")}
-            settings = msgspec.structs.replace(settings, updates=tuning.updates, **rates)
+            settings = msgspec.structs.replace(settings, updates=tuning.updates, start=None, **rates)
             shaped = ShapedReward(reward.requires_grad_(True), model.config.scale)  # its potentials are not kept
             train_adversarial(model, shaped, scenes, settings, seed, progress)
         case other:
