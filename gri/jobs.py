@@ -222,6 +222,11 @@ def quick(job: Job) -> Job:
     if isinstance(objective, GroundedSettings):
         optima = objective.optima and msgspec.structs.replace(objective.optima, scenes=50)
         objective = msgspec.structs.replace(objective, planner_updates=10, optima=optima)
+    elif isinstance(objective, AdversarialSettings) and objective.start:
+        optima = msgspec.structs.replace(objective.start.plan.optima, scenes=50)
+        plan = msgspec.structs.replace(objective.start.plan, updates=10, optima=optima, imitation_updates=10)
+        start = msgspec.structs.replace(objective.start, plan=plan, encoder_updates=10)
+        objective = msgspec.structs.replace(objective, start=start)
     config = msgspec.structs.replace(job.config, name=f"{job.config.name}-quick", data=data, objective=objective)
     headways = job.scenario.protocol.headways[::4]
     protocol = replace(job.scenario.protocol, headways=headways, starts=20)
