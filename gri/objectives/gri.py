@@ -204,7 +204,7 @@ def fit_encoder_and_policy(
     assert model.encoder is not None, "grounded training infers graphs; give the model an encoder"
     optima = None
     if settings.optima is not None:
-        begun = _elsewhere(model, scenes, settings, settings.optima.scenes, generator)
+        begun = begun_elsewhere(model, scenes, settings, settings.optima.scenes, generator)
         optima = optimal_scenes(model, reward, *begun, settings.optima, progress)
     total = settings.encoder_lead + settings.updates
     to_encoder = Descent(model.encoder.parameters(), settings.encoder_rate, total)
@@ -271,13 +271,14 @@ def grounded_return(
     generator: torch.Generator,
 ) -> Float[Tensor, ""]:
     """Mean learned reward per step under random graphs, half of the starts shifted; each vehicle for itself."""
-    start, leader, graph = _elsewhere(model, scenes, settings, count, generator)
+    start, leader, graph = begun_elsewhere(model, scenes, settings, count, generator)
     driven = rollout(model, start, graph, leader, selfish=True)
     return returns(reward, driven.state, driven.action, graph).mean()
 
 
-def _elsewhere(
+def begun_elsewhere(
     model: RelationalModel, scenes: Scenes, settings: GroundedSettings, count: int, generator: torch.Generator
 ) -> tuple[Tensor, Tensor, Tensor]:
+    """Starts of random scenes, shifted as the settings say, their leader's states, and random graphs (`elsewhere`)."""
     types = len(model.config.vocabulary)
     return elsewhere(scenes, settings.shifts, settings.return_headway, model.dynamics, types, count, generator)
