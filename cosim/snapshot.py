@@ -128,13 +128,13 @@ class Around:
 
     vehicles: tuple[str, ...]
     ids: tuple[str, ...]
-    age: float = 0.0  # [s]
+    time: float
+    """When they were found [s]."""
 
-    def stepped(self, entered: Sequence[str], gone: Sequence[str], dt: float) -> None:
-        """One step of dt [s] later."""
+    def stepped(self, entered: Sequence[str], gone: Sequence[str]) -> None:
+        """One step later."""
         if entered or gone:
             self.ids = tuple([vehicle for vehicle in (*self.ids, *entered) if vehicle not in gone])
-        self.age += dt
 
 
 def near(

@@ -72,7 +72,7 @@ class Sumo:
         if self._rings:
             departed = _real(libsumo.simulation.getDepartedIDList())
             for ring in self._rings:
-                ring.stepped(departed, arrived, libsumo.simulation.getDeltaT())
+                ring.stepped(departed, arrived)
         pairs = [(hit.collider, hit.victim) for hit in libsumo.simulation.getCollisions()]
         return StepReport(
             time=libsumo.simulation.getTime(),
@@ -114,8 +114,8 @@ class Sumo:
 
     def _positions_around(self, road: RoadFrame, around: tuple[str, ...]) -> _Positions:
         """Asks where they are only those who can have come near since they were asked last."""
-        rings = self._rings
-        while rings and (rings[-1].vehicles != around or rings[-1].age > _RINGS[len(rings) - 1][0] - 1e-6):
+        rings, now = self._rings, libsumo.simulation.getTime()
+        while rings and (rings[-1].vehicles != around or now - rings[-1].time > _RINGS[len(rings) - 1][0] - 1e-6):
             rings.pop()
         try:
             ids, xy, s, d = self._positions(road, rings[-1].ids if rings else _real(libsumo.vehicle.getIDList()))
@@ -125,7 +125,7 @@ class Sumo:
         for _, along, across in _RINGS[len(rings) :]:
             rows = np.flatnonzero(near(s, d, rows_of(ids, around), along, across))
             ids, xy, s, d = tuple([ids[row] for row in rows.tolist()]), xy[rows], s[rows], d[rows]
-            rings.append(Around(around, ids))
+            rings.append(Around(around, ids, now))
         return ids, xy, s, d
 
     def driving(self, lanes: Sequence[str]) -> Driving:
