@@ -43,6 +43,7 @@ def stress_chunk(chunk: Chunk, paths: Mapping[str, Path], facts: Mapping[str, An
     torch.set_num_threads(1)
     began, parts = time.monotonic(), chunk.parts
     rows = pd.DataFrame(rows_of(chunk, tell)).assign(seed=chunk.scenario.seed)
+    rows = rows.astype({"intensity": float})  # of nominal rows alone it would be a column of objects
     seconds = round((time.monotonic() - began) / len(parts), 2)
     for part in parts:
         path, (name,) = paths[part.key], part.policies

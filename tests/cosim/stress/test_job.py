@@ -6,8 +6,9 @@ from msgspec.structs import replace
 
 from cosim.branch import CAN_FORK
 from cosim.scenario import ConstantVelocity, Idm, LeftToSumo
-from cosim.stress.job import rows_of
-from cosim.stress.spec import chunks
+from cosim.stress import job
+from cosim.stress.job import rows_of, stress_chunk
+from cosim.stress.spec import NOMINAL, chunks
 
 pytestmark = pytest.mark.skipif(not CAN_FORK, reason="stress tests fork")
 POLICIES = {"idm": Idm(), "constant_velocity": ConstantVelocity(), "sumo": LeftToSumo()}
@@ -57,6 +58,15 @@ def test_a_branch_does_not_disturb_another(chunk, rows):
     alone = pd.DataFrame(rows_of(replace(chunk, cells=chunk.cells[-1:], policies={"idm": Idm()}), quiet))
     among = rows[(rows["perturbation"] == "neighbour_cut_in") & (rows["policy"] == "idm")].reset_index(drop=True)
     pd.testing.assert_frame_equal(alone, among[alone.columns], check_exact=True, check_dtype=False)
+
+
+def test_undisturbed_episodes_alone_are_written_as_those_among_others(chunk, tmp_path, monkeypatch):
+    """Their intensity is missing, which must not make it a column of another type."""
+    alone = replace(chunk, cells=chunk.cells[:1], policies={"idm": Idm()})
+    row = {"policy": "idm", "perturbation": NOMINAL, "intensity": None}
+    monkeypatch.setattr(job, "rows_of", lambda *_: [row])
+    stress_chunk(alone, {alone.key: tmp_path / "part.parquet"}, {}, quiet)
+    assert pd.read_parquet(tmp_path / "part.parquet")["intensity"].dtype == float
 
 
 def test_perturbed_traffic(short_scenario):
