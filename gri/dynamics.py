@@ -178,3 +178,12 @@ _BY_NAME = {dynamics.name: dynamics for dynamics in (POINT_MASS_1D, DUBINS, POIN
 def dynamics_named(name: DynamicsName | str) -> Dynamics:
     """The dynamics of that name; a ValueError lists the known ones."""
     return _BY_NAME[DynamicsName(name)]
+
+
+def constant_speed(start: Float[Tensor, "B D"], steps: int, dynamics: Dynamics, dt: float) -> Float[Tensor, "B T D"]:
+    """States of a vehicle that goes straight on, at the start and after each of `steps` actions."""
+    kept = torch.tensor([float(name in ("x", "y", "v", "vx")) for name in dynamics.state])
+    speed = start[:, dynamics.index("v" if "v" in dynamics.state else "vx")]
+    travelled = speed[:, None] * torch.arange(steps + 1) * dt
+    along = torch.eye(start.shape[1])[dynamics.index("x")]
+    return (start * kept)[:, None] + travelled[..., None] * along

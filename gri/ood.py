@@ -19,7 +19,7 @@ from torch import Tensor
 
 from gri import metrics
 from gri.decoder import dense
-from gri.dynamics import Dynamics
+from gri.dynamics import Dynamics, constant_speed
 from gri.graph import EdgeType, InteractionGraph, Vocabulary, pairs
 from gri.metrics import Summary
 from gri.model import RelationalModel, relative
@@ -130,15 +130,6 @@ def free_rollout(
         action, memory = act(relative(states[-1]), memory)
         states.append(model.step(states[-1], action))
     return torch.stack(states, 2)
-
-
-def constant_speed(start: Float[Tensor, "B D"], steps: int, dynamics: Dynamics, dt: float) -> Float[Tensor, "B T D"]:
-    """States of a vehicle that goes straight on, at the start and after each of `steps` actions."""
-    kept = torch.tensor([float(name in ("x", "y", "v", "vx")) for name in dynamics.state])
-    speed = start[:, dynamics.index("v" if "v" in dynamics.state else "vx")]
-    travelled = speed[:, None] * torch.arange(steps + 1) * dt
-    along = torch.eye(start.shape[1])[dynamics.index("x")]
-    return (start * kept)[:, None] + travelled[..., None] * along
 
 
 def oracle(reward: StructuredReward, dynamics: Dynamics, dt: float, steps: int) -> Drive:

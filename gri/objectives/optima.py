@@ -12,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from gri.data.synthetic import Scenes
+from gri.dynamics import constant_speed
 from gri.graph import incoming
 from gri.ilqr import Task, climb_by_steps
 from gri.model import RelationalModel
@@ -28,6 +29,10 @@ class OptimaSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
     sweeps: int = 2
     iterations: int = 12
     """Newton steps per vehicle and sweep."""
+    beyond: int = 0
+    """Steps that an optimum foresees beyond the scene, where leaders keep their speed. A policy does not know how long
+    a scene still lasts, and cannot do what pays only because it ends.
+    """
 
 
 def optimal_scenes(
@@ -40,15 +45,17 @@ def optimal_scenes(
     progress: Progress = silent,
 ) -> Scenes:
     """Every driven vehicle on its best response under the graph; the roll-outs of the model are the first guess."""
+    steps = leader.shape[1]
+    further = constant_speed(leader[:, -1], settings.beyond, model.dynamics, model.dt)
     with torch.no_grad():
-        driven = rollout(model, start, graph, leader)
+        driven = rollout(model, start, graph, torch.cat([leader, further[:, 1:]], 1))
     scenes = Scenes(driven.state.double(), driven.action.double(), graph.argmax(-1))
     reward = reward.in_double()
     for sweep in range(settings.sweeps):
         progress("optima", sweep + 1, settings.sweeps, 0.0)
         for vehicle in range(driven.action.shape[1]):
             scenes = respond(scenes, vehicle, model, reward, settings.iterations)
-    return Scenes(scenes.state.float(), scenes.action.float(), scenes.graph)
+    return Scenes(scenes.state[:, :, :steps].float(), scenes.action[:, :, : steps - 1].float(), scenes.graph)
 
 
 def respond(scenes: Scenes, vehicle: int, model: RelationalModel, reward: StructuredReward, iterations: int) -> Scenes:

@@ -3,7 +3,15 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gri.dynamics import DUBINS, POINT_MASS_1D, POINT_MASS_2D, Dynamics, dynamics_named, stop_at_standstill
+from gri.dynamics import (
+    DUBINS,
+    POINT_MASS_1D,
+    POINT_MASS_2D,
+    Dynamics,
+    constant_speed,
+    dynamics_named,
+    stop_at_standstill,
+)
 
 ALL = [POINT_MASS_1D, DUBINS, POINT_MASS_2D]
 
@@ -80,3 +88,10 @@ def test_what_was_driven_first_can_be_learned_from_afterwards(dynamics: Dynamics
     action.requires_grad_()
     dynamics.step(state, action, dt).sum().backward()
     assert action.grad is not None
+
+
+def test_vehicles_at_constant_speed_go_straight_on():
+    one = constant_speed(torch.tensor([[1.0, 5.0, 2.0]]), 2, POINT_MASS_1D, 0.2)
+    assert one.tolist() == [[[1.0, 5.0, 0.0], [2.0, 5.0, 0.0], [3.0, 5.0, 0.0]]]
+    two = constant_speed(torch.tensor([[1.0, 3.5, 5.0, 0.1, 1.0, 0.1]]), 1, DUBINS, 0.2)
+    assert two[0, 1].tolist() == [2.0, 3.5, 5.0, 0.0, 0.0, 0.0]

@@ -4,7 +4,7 @@ import torch
 from gri.data.ranges import PAPER
 from gri.data.synthetic import model_config
 from gri.decoder import DecoderConfig
-from gri.dynamics import DUBINS, POINT_MASS_1D
+from gri.dynamics import DUBINS
 from gri.graph import FOLLOWING, LANE_CHANGING
 from gri.model import RelationalModel
 from gri.ood import (
@@ -12,7 +12,6 @@ from gri.ood import (
     Protocol,
     area,
     at_headway,
-    constant_speed,
     curve,
     driver,
     follow_edge,
@@ -39,13 +38,6 @@ def test_score_by_hand():
     assert point.success.mean == 0.5  # final headways 4 and 0
     assert point.collision.mean == 0.5  # least distances 4.03 and 0.5
     assert point.lateral.mean == pytest.approx(-3.0)
-
-
-def test_vehicles_at_constant_speed_go_straight_on():
-    one = constant_speed(torch.tensor([[1.0, 5.0, 2.0]]), 2, POINT_MASS_1D, 0.2)
-    assert one.tolist() == [[[1.0, 5.0, 0.0], [2.0, 5.0, 0.0], [3.0, 5.0, 0.0]]]
-    two = constant_speed(torch.tensor([[1.0, 3.5, 5.0, 0.1, 1.0, 0.1]]), 1, DUBINS, 0.2)
-    assert two[0, 1].tolist() == [2.0, 3.5, 5.0, 0.0, 0.0, 0.0]
 
 
 def test_forced_graphs():

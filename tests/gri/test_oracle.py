@@ -3,8 +3,7 @@ import torch
 
 from gri.data.ranges import PAPER
 from gri.data.synthetic import true_reward
-from gri.dynamics import POINT_MASS_1D
-from gri.ood import constant_speed
+from gri.dynamics import POINT_MASS_1D, constant_speed
 from gri.oracle import Given, best_response, climb
 
 

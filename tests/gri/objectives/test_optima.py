@@ -4,6 +4,7 @@ import torch
 from gri.data.lane_changing import LANE_CHANGING_SCENES
 from gri.data.synthetic import Scenes, model_config, returns, sample_starts
 from gri.decoder import DecoderConfig
+from gri.dynamics import constant_speed
 from gri.model import RelationalModel
 from gri.objectives.optima import OptimaSettings, distance, incoming, optimal_scenes
 from gri.objectives.variation import random_graphs
@@ -55,6 +56,18 @@ def test_optima_obey_the_dynamics_and_keep_starts_leader_and_graph(
     torch.testing.assert_close(found.leader, begun[1])
     assert torch.equal(found.graph, begun[2].argmax(-1))
     torch.testing.assert_close(model.step(found.state[:, :2, 3], found.action[:, :, 3]), found.state[:, :2, 4])
+
+
+def test_optima_that_foresee_more_are_those_of_longer_scenes(
+    model: RelationalModel, begun: tuple[torch.Tensor, torch.Tensor, torch.Tensor]
+):
+    start, leader, graph = begun
+    reward = StructuredReward(LANE_CHANGING_SCENES.reward)
+    further = constant_speed(leader[:, -1], 5, model.dynamics, model.dt)[:, 1:]
+    longer = optimal_scenes(model, reward, start, torch.cat([leader, further], 1), graph, OptimaSettings(iterations=3))
+    found = optimal_scenes(model, reward, *begun, OptimaSettings(iterations=3, beyond=5))
+    assert torch.equal(found.state, longer.state[:, :, : leader.shape[1]])
+    assert torch.equal(found.action, longer.action[:, :, : leader.shape[1] - 1])
 
 
 def test_edges_come_in_by_the_order_of_their_senders():
