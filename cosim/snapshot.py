@@ -3,10 +3,10 @@
 Plain values: whoever has them needs no simulation.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import IntFlag
-from functools import cached_property
+from functools import cached_property, lru_cache
 from itertools import compress
 
 import numpy as np
@@ -32,9 +32,9 @@ class Snapshot:
     lane: tuple[str, ...]
 
     @cached_property
-    def where(self) -> dict[str, int]:
+    def where(self) -> Mapping[str, int]:
         """Row of every vehicle."""
-        return dict(zip(self.ids, range(len(self.ids)), strict=True))
+        return _places(self.ids)
 
     def features(self, rows: Int[np.ndarray, "G N"]) -> Float[np.ndarray, "G N C"]:
         """The features of COLUMNS of the vehicles in these rows."""
@@ -51,6 +51,12 @@ class Snapshot:
     def rows(self, ids: Sequence[str]) -> dict[str, int]:
         """Row of each id that is present."""
         return {vehicle: self.where[vehicle] for vehicle in ids if vehicle in self.where}
+
+
+@lru_cache(maxsize=2)
+def _places(ids: tuple[str, ...]) -> Mapping[str, int]:
+    """Place of every id, the same ones again in most steps."""
+    return dict(zip(ids, range(len(ids)), strict=True))
 
 
 @dataclass(frozen=True)

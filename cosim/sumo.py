@@ -55,6 +55,7 @@ class Sumo:
 
     def __init__(self) -> None:
         self._sizes = _Kept(lambda v: (libsumo.vehicle.getLength(v), libsumo.vehicle.getWidth(v)))
+        self._sized: tuple[tuple[str, ...], np.ndarray, np.ndarray] = ((), np.empty(0), np.empty(0))
         self._least_gaps = _Kept(libsumo.vehicle.getMinGap)
         self._modes: dict[str, tuple[int, int]] = {}  # (speed mode, lane-change mode) before take-over
         self._twins: set[str] = set()  # vehicles that have one
@@ -87,7 +88,9 @@ class Sumo:
             ids, xy, s, d = self._positions(road, _real(libsumo.vehicle.getIDList()))
         else:
             ids, xy, s, d = self._positions_around(road, tuple(around))
-        sizes = np.array([*chain.from_iterable(map(self._sizes.__getitem__, ids))], dtype=float).reshape(-1, 2)
+        if ids != self._sized[0]:
+            sizes = np.array([*chain.from_iterable(map(self._sizes.__getitem__, ids))], dtype=float)
+            self._sized = ids, *sizes.reshape(-1, 2).T.copy()
         angle, v, a = np.array([[*map(read, ids)] for read in (_angle, _speed, _acceleration)], dtype=float)
         return Snapshot(
             time=libsumo.simulation.getTime(),
@@ -98,8 +101,8 @@ class Sumo:
             a=a,
             s=s,
             d=d,
-            length=sizes[:, 0],
-            width=sizes[:, 1],
+            length=self._sized[1],
+            width=self._sized[2],
             lane=tuple(map(_lane, ids)),
         )
 

@@ -19,7 +19,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from gri.arrays import arrays_of
+from gri.arrays import NUMPY, arrays_of
 from gri.graph import agents_of
 from gri.neural import edge_ends, mlp
 from gri.scale import Scale
@@ -146,6 +146,36 @@ class Receive:
         return messages.reshape(b, n, r, -1).sum(1)
 
 
+@dataclass(frozen=True)
+class ReceiveSent:
+    """The same in numpy for a graph of few edges: pairs that send nothing, which add nothing, are left out.
+
+    `ends` are scene, sender and receiver of the pairs that send; `mask` and `bias` are theirs.
+    """
+
+    ends: tuple[np.ndarray, np.ndarray, np.ndarray]
+    mask: np.ndarray
+    bias: np.ndarray
+    second: np.ndarray
+    shape: tuple[int, int, int]
+    """Scenes, senders and receivers."""
+
+    @classmethod
+    def of(cls, receive: Receive) -> "ReceiveSent":
+        mask, bias, second = map(_array, (receive.mask, receive.bias, receive.second))
+        scene, sender, receiver = np.nonzero(mask.any(-1))
+        of_pair = bias.reshape(*mask.shape[:3], -1)[scene, sender, receiver]
+        b, n, r, _ = mask.shape
+        return cls((scene, sender, receiver), mask[scene, sender, receiver], of_pair, second, (b, n, r))
+
+    def __call__(self, sender: np.ndarray, receiver: np.ndarray) -> np.ndarray:
+        (scene, who, to), (scenes, senders, receivers) = self.ends, self.shape
+        hidden = NUMPY.silu(sender[scene, who] + receiver[scene, to]) * self.mask
+        messages = np.zeros((senders, scenes, receivers, self.second.shape[1]), dtype=hidden.dtype)
+        messages[who, scene, to] = NUMPY.silu(NUMPY.add_product(self.bias, hidden, self.second))
+        return messages.sum(0)
+
+
 class FeedForward(nn.Module):
     """Equations (policy1)-(policy3)."""
 
@@ -172,6 +202,7 @@ class FeedForward(nn.Module):
         return Folded(
             shares=(weight, bias),
             ends=(len(sender), len(sender) + len(receiver)),
+            vehicles=graph.shape[2],
             receive=self.messages.bind(graph),
             summed=first.weight,
             later=tuple((layer.weight, layer.bias) for layer in later),
@@ -188,14 +219,16 @@ class Folded:
 
     shares: tuple[Any, Any]
     ends: tuple[int, int]
-    receive: Receive
+    vehicles: int
+    """How many are driven."""
+    receive: Receive | ReceiveSent
     summed: Any
     later: tuple[tuple[Any, Any], ...]
 
     def __call__(self, state: Any, senders: Any) -> Any:
         """Mean action [B, R, A] in units of the action; `senders` is the state that others are told of."""
         arrays, (sent, received) = arrays_of(state), self.ends
-        shares, vehicles = arrays.linear(state, *self.shares), self.receive.mask.shape[2]
+        shares, vehicles = arrays.linear(state, *self.shares), self.vehicles
         told = shares[..., :sent]
         if senders is not state:
             told = arrays.linear(senders, self.shares[0][:sent], self.shares[1][:sent])
@@ -207,9 +240,10 @@ class Folded:
 
     def numpy(self) -> "Folded":
         """The same in numpy."""
-        receive = Receive(*(_array(value) for value in (self.receive.mask, self.receive.bias, self.receive.second)))
         shares, later = tuple(map(_array, self.shares)), tuple((_array(w), _array(b)) for w, b in self.later)
-        return Folded((shares[0], shares[1]), self.ends, receive, _array(self.summed), later)
+        assert isinstance(self.receive, Receive), "it is in numpy already"
+        sent = ReceiveSent.of(self.receive)
+        return Folded((shares[0], shares[1]), self.ends, self.vehicles, sent, _array(self.summed), later)
 
 
 def _array(value: Tensor) -> np.ndarray:
