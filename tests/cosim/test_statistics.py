@@ -53,6 +53,7 @@ def test_pairing_finds_a_small_shift_among_large_differences_between_starts(rng)
 def test_sign_flips_by_hand():
     """Differences 1, 2, 3: of the eight ways to sign them two reach a mean of 2 or −2: p = 1/4."""
     assert paired_difference(np.array([1.0, 2.0, 3.0]), np.zeros(3)).p == pytest.approx(0.25)
+    assert paired_difference(np.array([1.0]), np.zeros(1)).p == 1.0  # its sign says nothing
 
 
 def test_the_mean_is_covered_about_as_often_as_promised(rng):
