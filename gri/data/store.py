@@ -14,6 +14,7 @@ import torch
 
 from gri.data.highway_merge import HIGHWAY_MERGE, HighwayMergeRange
 from gri.data.lane_changing import LANE_CHANGING_SCENES
+from gri.data.mixture import mixed
 from gri.data.optimal import make_highway_scenes
 from gri.data.ranges import RANGES, GraphShare
 from gri.data.recorded import recorded_scenes
@@ -42,7 +43,10 @@ class DataConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     action_noise: float = 0.0
     """Standard deviation [m/s³] of independent noise on the expert's jerk."""
     files: tuple[str, ...] | msgspec.UnsetType = msgspec.UNSET
-    """Scene files of recorded scenes, of traffic and of SUMO as they fit; left out: the one in the scenes folder."""
+    """Scene files of recorded scenes, of traffic and of SUMO as they fit; left out: the one in the scenes folder.
+
+    Synthetic ranges that are like SUMO's scenes (us101, highway_merge) are mixed with the files', split by split.
+    """
 
     @property
     def recorded(self) -> RecordedRange | None:
@@ -80,7 +84,8 @@ def scenes_path(config: DataConfig, folder: Path) -> Path:
     """
     if config.recorded is not None:
         return folder / f"{config.range.partition('_')[0]}.parquet"
-    content = msgspec.json.encode([config, config.scene_range, config.shares])
+    alone = msgspec.structs.replace(config, files=msgspec.UNSET)
+    content = msgspec.json.encode([alone, config.scene_range, config.shares])
     return folder / f"{config.range}-{config.graphs}-{hashlib.sha256(content).hexdigest()[:10]}.npz"
 
 
@@ -92,7 +97,17 @@ def scenes_of(config: DataConfig, folder: Path, progress: Progress = silent) -> 
     scenes = read_scenes(path) if path.is_file() else _made(config, path, progress)
     sizes = [config.train, config.validation, config.test]
     parts = torch.arange(len(scenes)).split(sizes)
-    return Splits(*(scenes[part] for part in parts))
+    splits = Splits(*(scenes[part] for part in parts))
+    return with_files(config, splits) if config.files else splits
+
+
+def with_files(config: DataConfig, synthetic: Splits) -> Splits:
+    """Synthetic scenes and those of the configuration's files. Errors: `InputError` where no file is like them."""
+    like = config.tested_on
+    if like is None:
+        raise InputError(f"field data.files: got files beside range {config.range}; us101 and highway_merge take some")
+    filed = recorded_splits(like, [Path(file) for file in config.files or ()])
+    return Splits(*(mixed(part, vars(filed)[name]) for name, part in vars(synthetic).items()))
 
 
 def recorded_splits(scenes: RecordedRange, paths: Sequence[Path]) -> Splits:

@@ -1,11 +1,16 @@
 """An encoder that learns the scenes' own graphs."""
 
+from pathlib import Path
+
+import pytest
 import torch
 
+from gri import checkpoint
 from gri.data.recorded_ranges import SUMO_CAR_FOLLOWING
 from gri.data.synthetic import Scenes, model_config
 from gri.decoder import DecoderConfig
 from gri.encoder import EncoderConfig
+from gri.errors import InputError
 from gri.graph import EdgeType, InteractionGraph
 from gri.model import RelationalModel
 from gri.objectives.gri import GroundedSettings
@@ -27,10 +32,14 @@ def scenes(count: int = 16, steps: int = 8) -> Scenes:
     return Scenes(state, torch.zeros(count, 2, steps - 1, 1), graph)
 
 
+def driver(hidden: int = 8) -> tuple[RelationalModel, StructuredReward]:
+    config = model_config(SUMO_CAR_FOLLOWING, DecoderConfig(hidden=hidden), EncoderConfig(hidden=16, heads=4))
+    return RelationalModel(config), StructuredReward(SUMO_CAR_FOLLOWING.reward)
+
+
 def test_the_encoder_learns_what_it_is_told():
     torch.manual_seed(0)
-    config = model_config(SUMO_CAR_FOLLOWING, DecoderConfig(hidden=8), EncoderConfig(hidden=16, heads=4))
-    model, reward, data = RelationalModel(config), StructuredReward(SUMO_CAR_FOLLOWING.reward), scenes()
+    (model, reward), data = driver(), scenes()
     before = [psi.detach().clone() for psi in reward.psi.values()]
     grounded = GroundedSettings(
         reward_updates=2, reward_batch=4, reward_scenes=6, updates=3, batch=8, return_batch=4, encoder_rate=2e-2,
@@ -39,3 +48,28 @@ def test_the_encoder_learns_what_it_is_told():
     train_told(model, reward, data, ToldSettings(grounded=grounded), seed=0)
     assert torch.equal(model.infer(data.seen).map, data.graph)
     assert any(not torch.equal(old, new) for old, new in zip(before, reward.psi.values(), strict=True))
+
+
+def test_a_trained_policy_and_its_reward_stay_without_updates(tmp_path: Path):
+    torch.manual_seed(0)
+    (trained, its_reward), path = driver(), tmp_path / "driver.pt"
+    its_reward.psi["follow"].data += 0.5
+    checkpoint.save(path, trained, its_reward)
+    (model, reward), data = driver(), scenes()
+    untold = GroundedSettings(updates=0, batch=8, encoder_rate=2e-2, encoder_lead=150)
+    train_told(model, reward, data, ToldSettings(grounded=untold, start=str(path)), seed=0)
+    assert torch.equal(model.infer(data.seen).map, data.graph)
+    assert torch.equal(reward.psi["follow"], its_reward.psi["follow"])
+    policies = model.decoder.state_dict(), trained.decoder.state_dict()
+    assert all(torch.equal(policies[0][name], tensor) for name, tensor in policies[1].items())
+
+
+def test_a_start_of_another_size_or_without_a_reward_is_refused(tmp_path: Path):
+    (model, reward), path = driver(), tmp_path / "driver.pt"
+    settings = ToldSettings(grounded=GroundedSettings(), start=str(path))
+    checkpoint.save(path, driver(hidden=4)[0], reward)
+    with pytest.raises(InputError, match="its decoder is"):
+        train_told(model, reward, scenes(), settings, seed=0)
+    checkpoint.save(path, driver()[0])
+    with pytest.raises(InputError, match="trained without a reward"):
+        train_told(model, reward, scenes(), settings, seed=0)
