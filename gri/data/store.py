@@ -92,6 +92,8 @@ def scenes_path(config: DataConfig, folder: Path) -> Path:
 def scenes_of(config: DataConfig, folder: Path, progress: Progress = silent) -> Splits:
     """The scenes of a configuration: from their file if it is there, else from a newly trained expert."""
     path = scenes_path(config, folder)
+    if config.files and config.tested_on is None:
+        raise InputError(f"field data.files: got files beside range {config.range}; us101 and highway_merge take some")
     if config.recorded is not None:
         return recorded_splits(config.recorded, [path] if not config.files else [Path(file) for file in config.files])
     scenes = read_scenes(path) if path.is_file() else _made(config, path, progress)
@@ -102,11 +104,9 @@ def scenes_of(config: DataConfig, folder: Path, progress: Progress = silent) -> 
 
 
 def with_files(config: DataConfig, synthetic: Splits) -> Splits:
-    """Synthetic scenes and those of the configuration's files. Errors: `InputError` where no file is like them."""
-    like = config.tested_on
-    if like is None:
-        raise InputError(f"field data.files: got files beside range {config.range}; us101 and highway_merge take some")
-    filed = recorded_splits(like, [Path(file) for file in config.files or ()])
+    """Synthetic scenes and those of the configuration's files, split by split."""
+    assert config.tested_on is not None, "ranges like no file take none"
+    filed = recorded_splits(config.tested_on, [Path(file) for file in config.files or ()])
     return Splits(*(mixed(part, vars(filed)[name]) for name, part in vars(synthetic).items()))
 
 

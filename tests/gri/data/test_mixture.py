@@ -49,8 +49,6 @@ def test_files_named_beside_a_synthetic_range_are_mixed_in(tmp_path: Path):
 
 
 def test_ranges_like_no_file_take_none(tmp_path: Path):
-    config = DataConfig(
-        range="paper", graphs="one", train=2, validation=1, test=1, expert_updates=1, files=("x.parquet",)
-    )
+    config = DataConfig(range="paper", graphs="one", files=("x.parquet",))
     with pytest.raises(InputError, match=r"field data\.files: got files beside range paper"):
         scenes_of(config, tmp_path)
