@@ -39,8 +39,8 @@ class Snapshot:
     def features(self, rows: Int[np.ndarray, "G N"]) -> Float[np.ndarray, "G N C"]:
         """The features of COLUMNS of the vehicles in these rows."""
         place = {"x": self.xy[:, 0], "y": self.xy[:, 1]}
-        found = [(place[name] if name in place else getattr(self, name))[rows] for name in COLUMNS]
-        return np.array(found).transpose(1, 2, 0)
+        table = np.array([place[name] if name in place else getattr(self, name) for name in COLUMNS])
+        return table[:, rows].transpose(1, 2, 0)
 
     def only(self, wanted: Bool[np.ndarray, " V"]) -> "Snapshot":
         """Some of the vehicles."""

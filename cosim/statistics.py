@@ -71,7 +71,8 @@ def _bootstrap(values: Float[np.ndarray, " S"], statistic: Callable[..., Any], s
 def paired_difference(a: Float[np.ndarray, " S"], b: Float[np.ndarray, " S"], seed: int = 0) -> PairedTest:
     """The mean over starts of a − b, resampled by start; p by Fisher's (1935) sign-flip test of the mean.
 
-    Values must be finite. p is 1 where all differences are 0 or there is one only, and never below 1/(RESAMPLES + 1) where starts are many.
+    Values must be finite. p is 1 where all differences are 0 or there is one only, and never below 1/(RESAMPLES + 1)
+    where starts are many.
     """
     assert a.shape == b.shape, f"pairs wanted, got {a.shape} and {b.shape}"
     if not len(a):

@@ -89,8 +89,8 @@ class Sumo:
         else:
             ids, xy, s, d = self._positions_around(road, tuple(around))
         if ids != self._sized[0]:
-            sizes = np.array([*chain.from_iterable(map(self._sizes.__getitem__, ids))], dtype=float)
-            self._sized = ids, *sizes.reshape(-1, 2).T.copy()
+            sizes = np.array([*chain.from_iterable(map(self._sizes.__getitem__, ids))], dtype=float).reshape(-1, 2)
+            self._sized = ids, sizes[:, 0].copy(), sizes[:, 1].copy()
         angle, v, a = np.array([[*map(read, ids)] for read in (_angle, _speed, _acceleration)], dtype=float)
         return Snapshot(
             time=libsumo.simulation.getTime(),
@@ -247,17 +247,33 @@ class Sumo:
 
         SUMO books the vehicle on the nearest lane, or on `lane`, which must be one that passes there.
         """
-        if not math.isfinite(x + y + heading + speed):
+        self.command_all([vehicle], np.array([[x, y]]), np.array([heading]), np.array([speed]), [lane])
+
+    def command_all(
+        self,
+        vehicles: Sequence[str],
+        xy: Float[np.ndarray, "V 2"],
+        heading: Float[np.ndarray, " V"],
+        speed: Float[np.ndarray, " V"],
+        lanes: Sequence[str] | None = None,
+    ) -> None:
+        """`command` for several vehicles at once; all are refused if one number is not finite."""
+        told = np.column_stack([xy, heading, speed])
+        if not np.isfinite(told).all():
+            row = int(np.flatnonzero(~np.isfinite(told).all(axis=1))[0])
+            x, y, turned, v = told[row].tolist()
             raise SumoError(
-                f"refused a non-finite command for {vehicle}: x={x}, y={y}, heading={heading}, speed={speed}"
+                f"refused a non-finite command for {vehicles[row]}: x={x}, y={y}, heading={turned}, speed={v}"
             )
-        _set_speed(vehicle, speed)
-        if lane:
-            edge, _, index = lane.rpartition("_")
-            _move(vehicle, edge, int(index), x, y, sumo_angle_of(heading), _GIVEN_LANE_EXACT_POSITION)
-        else:
-            _move(vehicle, "", -1, x, y, sumo_angle_of(heading), _KEEP_ROUTE_EXACT_POSITION)
-        self._commanded.add(vehicle)
+        told[:, 2] = sumo_angle_of(heading)
+        for vehicle, (x, y, angle, v), lane in zip(vehicles, told.tolist(), lanes or [""] * len(told), strict=True):
+            _set_speed(vehicle, v)
+            if lane:
+                edge, _, index = lane.rpartition("_")
+                _move(vehicle, edge, int(index), x, y, angle, _GIVEN_LANE_EXACT_POSITION)
+            else:
+                _move(vehicle, "", -1, x, y, angle, _KEEP_ROUTE_EXACT_POSITION)
+        self._commanded.update(vehicles)
 
     def is_commanded(self, vehicle: str) -> bool:
         """Whether the vehicle has a command for the coming step."""
