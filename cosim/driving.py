@@ -4,6 +4,7 @@ The same function records a round that is left to SUMO (`driver=None`), so that 
 alike. See docs/coupling.md for what a command does and when.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -13,7 +14,7 @@ import torch
 
 from cosim import twins
 from cosim.belief import overruled
-from cosim.episode import Episode
+from cosim.episode import COLUMNS, Episode
 from cosim.frames import RoadFrame
 from cosim.groups import order_of
 from cosim.intervention import Intervention
@@ -26,6 +27,8 @@ from cosim.snapshot import Snapshot
 from cosim.sumo import Sumo
 from gri.graph import InteractionGraph
 from gri.policy import Policy
+
+_S = COLUMNS.index("s")
 
 
 @dataclass(frozen=True)
@@ -102,7 +105,10 @@ def drive(world: Sumo, road: RoadFrame, begin: Start) -> list[Episode]:
         if intervention is not None:
             intervention.command(world, road, k, roles, now)
         report = world.step()
-        now = world.snapshot(road, around=task.vehicles if intervention is None else intervention.vehicles)
+        if intervention is None:
+            now = world.snapshot(road, task.vehicles, _between(frames[-1]))
+        else:
+            now = world.snapshot(road, intervention.vehicles)
         frame = Frame.of(now, task.groups) if intervention is None else intervention.see(now, road)
         if pilot is not None and pose is not None:
             record.verify(frame, pose)
@@ -149,6 +155,12 @@ def _command(world: Sumo, road: RoadFrame, task: Round, active: Sequence[int], p
         ]
     heading = (along + pose.heading.ravel())[rows]
     world.command_all([vehicle for *_, vehicle in told], xy[rows], heading, pose.v.ravel()[rows], lanes)
+
+
+def _between(frame: Frame) -> float:
+    """How far [m] along their lane whoever is between two vehicles of a group is from the nearer one a step later."""
+    gap = np.diff(np.sort(frame.state[..., _S], axis=1), axis=1).max()
+    return 10.0 * math.ceil(gap / 20.0) + 10.0
 
 
 def _graphs(pilot: Pilot | None, end: float) -> list[tuple[float, InteractionGraph]]:

@@ -133,14 +133,22 @@ class Around:
     """Who can come near the `vehicles` within some seconds: who was not far from them, and who entered since."""
 
     vehicles: tuple[str, ...]
+    lane_ahead: float
     ids: tuple[str, ...]
     time: float
     """When they were found [s]."""
+
+    def holds(self, vehicles: tuple[str, ...], lane_ahead: float, since: float) -> bool:
+        """Whether they are still those who can come so near to these vehicles."""
+        return self.vehicles == vehicles and self.lane_ahead >= lane_ahead and self.time >= since
 
     def stepped(self, entered: Sequence[str], gone: Sequence[str]) -> None:
         """One step later."""
         if entered or gone:
             self.ids = tuple([vehicle for vehicle in (*self.ids, *entered) if vehicle not in gone])
+
+
+LANE_AHEAD = 80.0  # [m] along its own lane within which others have to do with a vehicle, if nothing else is said
 
 
 def near(
@@ -149,13 +157,14 @@ def near(
     rows: Int[np.ndarray, " R"],
     along: float = 0,
     across: float = 0,
+    lane_ahead: float = LANE_AHEAD,
 ) -> Bool[np.ndarray, " V"]:
-    """Who has to do with the vehicles `rows`: 80 m along their own lane, 25 m beside it, themselves included.
+    """Who has to do with the vehicles `rows`: so far along their own lane, 25 m beside it, themselves included.
 
     With `along` and `across`: who is at most so much farther away.
     """
     ds, dd = np.abs(s - s[rows, None]), np.abs(d - d[rows, None])
-    involved = ((ds < 80 + along) & (dd < 2 + across)) | ((ds < 25 + along) & (dd < 6 + across))
+    involved = ((ds < lane_ahead + along) & (dd < 2 + across)) | ((ds < 25 + along) & (dd < 6 + across))
     return np.logical_or.reduce(involved, axis=0)
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from jaxtyping import Float
 
 from cosim.frames import RoadFrame, heading_of, sumo_angle_of, without_straight_vertices
-from cosim.snapshot import Around, Character, Driving, Snapshot, StepReport, Strip, near, rows_of
+from cosim.snapshot import LANE_AHEAD, Around, Character, Driving, Snapshot, StepReport, Strip, near, rows_of
 
 _NO_CHECKS = 0  # speed mode: SUMO neither bounds nor corrects the commanded speed
 _NO_CHANGES = 0  # lane-change mode: SUMO never changes the vehicle's lane
@@ -82,12 +82,14 @@ class Sumo:
             collisions=tuple(pair for pair in pairs if len(_real(pair)) == 2),
         )
 
-    def snapshot(self, road: RoadFrame, around: Sequence[str] | None = None) -> Snapshot:
-        """Read every vehicle on the road network, or only those who can be near the vehicles `around`."""
+    def snapshot(
+        self, road: RoadFrame, around: Sequence[str] | None = None, lane_ahead: float = LANE_AHEAD
+    ) -> Snapshot:
+        """Read every vehicle on the road network, or only those who can be near the vehicles `around` (see `near`)."""
         if around is None:
             ids, xy, s, d = self._positions(road, _real(libsumo.vehicle.getIDList()))
         else:
-            ids, xy, s, d = self._positions_around(road, tuple(around))
+            ids, xy, s, d = self._positions_around(road, tuple(around), lane_ahead)
         if ids != self._sized[0]:
             sizes = np.array([*chain.from_iterable(map(self._sizes.__getitem__, ids))], dtype=float).reshape(-1, 2)
             self._sized = ids, sizes[:, 0].copy(), sizes[:, 1].copy()
@@ -115,20 +117,20 @@ class Sumo:
         xy = np.array([*chain.from_iterable(points)], dtype=float).reshape(-1, 2)
         return ids, xy, *road.to_road(xy)
 
-    def _positions_around(self, road: RoadFrame, around: tuple[str, ...]) -> _Positions:
+    def _positions_around(self, road: RoadFrame, around: tuple[str, ...], lane_ahead: float) -> _Positions:
         """Asks where they are only those who can have come near since they were asked last."""
         rings, now = self._rings, libsumo.simulation.getTime()
-        while rings and (rings[-1].vehicles != around or now - rings[-1].time > _RINGS[len(rings) - 1][0] - 1e-6):
+        while rings and not rings[-1].holds(around, lane_ahead, now - _RINGS[len(rings) - 1][0] + 1e-6):
             rings.pop()
         try:
             ids, xy, s, d = self._positions(road, rings[-1].ids if rings else _real(libsumo.vehicle.getIDList()))
         except libsumo.TraCIException:  # somebody vanished without having arrived
             rings.clear()
-            return self._positions_around(road, around)
+            return self._positions_around(road, around, lane_ahead)
         for _, along, across in _RINGS[len(rings) :]:
-            rows = np.flatnonzero(near(s, d, rows_of(ids, around), along, across))
+            rows = np.flatnonzero(near(s, d, rows_of(ids, around), along, across, lane_ahead))
             ids, xy, s, d = tuple([ids[row] for row in rows.tolist()]), xy[rows], s[rows], d[rows]
-            rings.append(Around(around, ids, now))
+            rings.append(Around(around, lane_ahead, ids, now))
         return ids, xy, s, d
 
     def driving(self, lanes: Sequence[str]) -> Driving:

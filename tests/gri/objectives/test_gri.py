@@ -75,3 +75,22 @@ def test_scenes_are_reproduced_under_the_graph_that_their_actions_show(
         for one, believed in zip(start, graph, strict=True):
             (scene,) = (k for k in range(2) if torch.equal(one, scenes.start[k]))
             assert torch.equal(believed, told[scene])
+
+
+def test_the_encoder_may_be_done_before_the_policy(scenes: Scenes):
+    def trained(updates: int, encoder_updates: int | None) -> RelationalModel:
+        torch.manual_seed(0)
+        model = RelationalModel(model_config(PAPER, DecoderConfig(hidden=8), EncoderConfig(hidden=8, heads=2)))
+        settings = GroundedSettings(
+            reward_updates=1, reward_scenes=4, updates=updates, encoder_updates=encoder_updates, batch=4, return_batch=2
+        )
+        train_grounded(model, StructuredReward(PAPER.reward), scenes, settings, 0)
+        return model
+
+    early, stopped = trained(2, None), trained(4, 2)
+    assert early.encoder is not None
+    assert stopped.encoder is not None
+    for before, after in zip(early.encoder.parameters(), stopped.encoder.parameters(), strict=True):
+        assert torch.equal(before, after)
+    same = [torch.equal(a, b) for a, b in zip(early.decoder.parameters(), stopped.decoder.parameters(), strict=True)]
+    assert not all(same)
