@@ -287,7 +287,7 @@ def test_a_vehicle_that_is_nowhere_is_in_no_snapshot(road, monkeypatch):
 
 def test_who_looks_farther_along_the_lane_sees_more_at_once(road):
     """Who is near is remembered for a second, plus 30 m; a farther look must not wait for that."""
-    with road(vehicle("a", 50.0), vehicle("b", 100.0), vehicle("c", 250.0)) as world:
+    with road(vehicle("a", 50.0), vehicle("b", 120.0), vehicle("c", 250.0)) as world:
         assert world.snapshot(ROAD, around=["a"], lane_ahead=10.0).ids == ("a",)
         assert world.snapshot(ROAD, around=["a"], lane_ahead=80.0).ids == ("a", "b")
         assert world.snapshot(ROAD, around=["a"], lane_ahead=10.0).ids == ("a", "b")
