@@ -52,7 +52,9 @@ def fine_tune(
         case RecordedSettings(grounded=settings):
             assert reward is not None, "a grounded model comes with its reward"
             rates = {"policy_rate": slower * settings.policy_rate, "encoder_rate": slower * settings.encoder_rate}
-            settings = msgspec.structs.replace(settings, updates=tuning.updates, encoder_lead=0, **rates)
+            settings = msgspec.structs.replace(
+                settings, updates=tuning.updates, encoder_lead=0, encoder_updates=None, **rates
+            )
             posterior = recorded_posterior(model, reward.requires_grad_(False), scenes, settings)
             generator = torch.Generator().manual_seed(seed)
             fit_encoder_and_policy(model, reward, scenes, posterior, settings, generator, progress)

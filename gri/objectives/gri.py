@@ -61,6 +61,9 @@ class GroundedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     encoder_rate: float = 1e-3
     encoder_lead: int = 0
     """Updates of the encoder before the policy's first: graphs that are still wrong undo what a plan has taught it."""
+    encoder_updates: int | None = None
+    """Updates of the encoder beside the policy's, from its first on; None: as many. More repeat the posterior's errors.
+    """
     reconstruction: Literal["drawn", "likely", "judged"] = "drawn"
     """Under which graphs recorded scenes are reproduced: drawn from the encoder, its most probable ones, or those of
     the posterior, which knows what is to be reproduced; the policy then learns from the scenes that have one.
@@ -206,8 +209,8 @@ def fit_encoder_and_policy(
     if settings.optima is not None:
         begun = begun_elsewhere(model, scenes, settings, settings.optima.scenes, generator)
         optima = optimal_scenes(model, reward, *begun, settings.optima, progress)
-    total = settings.encoder_lead + settings.updates
-    to_encoder = Descent(model.encoder.parameters(), settings.encoder_rate, total)
+    beside = settings.updates if settings.encoder_updates is None else settings.encoder_updates
+    to_encoder = Descent(model.encoder.parameters(), settings.encoder_rate, settings.encoder_lead + beside)
     for chosen in batches(len(posterior), settings.batch, settings.encoder_lead, generator):
         shown = _look(model, scenes[chosen], settings, generator)
         to_encoder.step(_cross_entropy(posterior[chosen], shown))
@@ -215,11 +218,14 @@ def fit_encoder_and_policy(
     reproduced = len(posterior) if settings.reconstruction == "judged" else len(scenes)
     for update, chosen in enumerate(batches(reproduced, settings.batch, settings.updates, generator)):
         batch = scenes[chosen]
-        known = chosen % len(posterior)
-        shown = _look(model, scenes[known], settings, generator)
+        known, taught = chosen % len(posterior), update < beside
+        shown = _look(model, scenes[known], settings, generator) if taught else None
         with torch.no_grad():
-            graph = shown if torch.equal(known, chosen) else _look(model, batch, settings, generator)
-        to_encoder.step(_cross_entropy(posterior[known], shown))
+            graph = (
+                shown if shown is not None and torch.equal(known, chosen) else _look(model, batch, settings, generator)
+            )
+        if shown is not None:
+            to_encoder.step(_cross_entropy(posterior[known], shown))
         believed = _believed(graph, posterior[known], settings, generator)
         driven = rollout(model, batch.start, believed, batch.leader)
         loss = reconstruction_loss(driven.state, batch.state, model.dynamics)
