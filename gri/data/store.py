@@ -90,34 +90,39 @@ def scenes_path(config: DataConfig, folder: Path) -> Path:
 
 
 def scenes_of(config: DataConfig, folder: Path, progress: Progress = silent) -> Splits:
-    """The scenes of a configuration: from their file if it is there, else from a newly trained expert."""
-    path = scenes_path(config, folder)
-    if config.files and config.tested_on is None:
-        raise InputError(f"field data.files: got files beside range {config.range}; us101 and highway_merge take some")
+    """The scenes of a configuration: from their file if it is there, else from a newly trained expert.
+
+    Synthetic ones are followed by those of the files that the configuration names. Errors: `InputError` where a file is
+    not there, or no file is like the range.
+    """
+    path, files, like = scenes_path(config, folder), [Path(file) for file in config.files or ()], config.tested_on
     if config.recorded is not None:
-        return recorded_splits(config.recorded, [path] if not config.files else [Path(file) for file in config.files])
+        return recorded_splits(config.recorded, files or [path])
+    if files and like is None:
+        raise InputError(f"field data.files: got files beside range {config.range}; us101 and highway_merge take some")
+    if like is not None:
+        _check_there(like, files)
     scenes = read_scenes(path) if path.is_file() else _made(config, path, progress)
-    sizes = [config.train, config.validation, config.test]
-    parts = torch.arange(len(scenes)).split(sizes)
+    parts = torch.arange(len(scenes)).split([config.train, config.validation, config.test])
     splits = Splits(*(scenes[part] for part in parts))
-    return with_files(config, splits) if config.files else splits
-
-
-def with_files(config: DataConfig, synthetic: Splits) -> Splits:
-    """Synthetic scenes and those of the configuration's files, split by split."""
-    assert config.tested_on is not None, "ranges like no file take none"
-    filed = recorded_splits(config.tested_on, [Path(file) for file in config.files or ()])
-    return Splits(*(mixed(part, vars(filed)[name]) for name, part in vars(synthetic).items()))
+    if like is None or not files:
+        return splits
+    filed = recorded_splits(like, files)
+    return Splits(*(mixed(part, vars(filed)[name]) for name, part in vars(splits).items()))
 
 
 def recorded_splits(scenes: RecordedRange, paths: Sequence[Path]) -> Splits:
     """The splits of scene files. Errors: `InputError` where one is not there, or a split is empty."""
+    _check_there(scenes, paths)
+    parts = (recorded_scenes(paths, scenes, split)[0] for split in ("train", "validation", "test"))
+    return Splits(*parts)
+
+
+def _check_there(scenes: RecordedRange, paths: Sequence[Path]) -> None:
     for path in paths:
         if not path.is_file():
             command = "cosim scenes SCENARIO" if scenes.name.startswith("sumo") else "gri ngsim scenes FILE..."
             raise InputError(f"{path}: no such scene file; make one with `{command} --out ...`")
-    parts = (recorded_scenes(paths, scenes, split)[0] for split in ("train", "validation", "test"))
-    return Splits(*parts)
 
 
 def _made(config: DataConfig, path: Path, progress: Progress) -> Scenes:

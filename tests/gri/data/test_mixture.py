@@ -52,3 +52,9 @@ def test_ranges_like_no_file_take_none(tmp_path: Path):
     config = DataConfig(range="paper", graphs="one", files=("x.parquet",))
     with pytest.raises(InputError, match=r"field data\.files: got files beside range paper"):
         scenes_of(config, tmp_path)
+
+
+def test_a_missing_file_is_named_before_scenes_are_made(tmp_path: Path):
+    config = DataConfig(range="highway_merge", graphs="one", files=(str(tmp_path / "x.parquet"),))
+    with pytest.raises(InputError, match=r"x\.parquet: no such scene file; make one with `cosim scenes"):
+        scenes_of(config, tmp_path)
