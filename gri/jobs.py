@@ -24,7 +24,7 @@ from gri.evaluate import believed
 from gri.graph import InteractionGraph, Vocabulary
 from gri.model import Edge, RelationalModel
 from gri.objectives.airl import AdversarialSettings
-from gri.objectives.gri import GroundedSettings
+from gri.objectives.grounded import GroundedSettings
 from gri.rewards import StructuredReward
 from gri.rows import Row, Scenario
 from gri.train import TrainConfig, model_config, train

@@ -20,7 +20,8 @@ from gri.graph import EdgeType, pairs
 from gri.model import Edge, ModelConfig, RelationalModel
 from gri.network_reward import NetworkReward
 from gri.objectives.airl import AdversarialSettings, in_the_game, train_adversarial
-from gri.objectives.gri import GroundedSettings, train_grounded
+from gri.objectives.gri import train_grounded
+from gri.objectives.grounded import GroundedSettings
 from gri.objectives.nri import NriSettings, train_nri
 from gri.objectives.recorded import RecordedSettings, train_recorded
 from gri.objectives.supervised import SupervisedSettings, train_supervised

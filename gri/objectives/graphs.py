@@ -1,6 +1,4 @@
-"""Posteriors over the graphs of recorded scenes, without labels: by the reward alone, or by a policy planned
-on it.
-"""
+"""The posterior over the graphs of recorded scenes, without labels, by a policy planned on the reward."""
 
 import torch
 from jaxtyping import Float

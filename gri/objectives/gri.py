@@ -9,85 +9,22 @@
    under random graphs and from shifted starts, so that an edge keeps its meaning away from the data.
 """
 
-from typing import Literal
-
-import msgspec
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from gri.data.synthetic import Scenes, returns
 from gri.graph import InteractionGraph
-from gri.laplace import Expansion, combination_prior, expand, log_likelihood, marginals, scene_prior
 from gri.model import RelationalModel
 from gri.objectives.common import Descent, action_error, batches, reconstruction_loss
 from gri.objectives.graphs import posterior_by_policy
-from gri.objectives.optima import OptimaSettings, distance, optimal_scenes
-from gri.objectives.variation import Augmentation, Shifts, augment, elsewhere
+from gri.objectives.grounded import GroundedSettings
+from gri.objectives.likelihood import fit_reward, prior_of, scene_posterior
+from gri.objectives.optima import distance, optimal_scenes
+from gri.objectives.variation import augment, elsewhere
 from gri.progress import Progress, silent
 from gri.rewards import StructuredReward
-from gri.riccati import StepExpansion, expand_steps, log_likelihood_by_steps
 from gri.rollout import rollout
-
-
-class GroundedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="gri"):
-    """Sizes and rates of the three stages."""
-
-    no_edge_prior: float = 0.9
-    ahead_only: bool = False
-    """Nobody follows a vehicle that ends up behind it; else only the reward says so."""
-    likelihood: Literal["dense", "stepwise"] = "dense"
-    """Laplace's approximation by one matrix over a window's actions, or over whole scenes in linear time."""
-    graph_scenes: int | None = None
-    """The posterior over graphs is computed for so many scenes, and the encoder learns from these; None: all."""
-    horizon: int = 19
-    """Actions that a driver is taken to foresee when the likelihood of graphs is computed."""
-    stride: int = 10
-    judge: Literal["reward", "policy"] = "reward"
-    """Whose likelihood tells graphs apart: the reward's own, or that of a policy first planned on it."""
-    planner_updates: int = 400
-    planner_batch: int = 128
-    reward_updates: int = 100
-    reward_rate: float = 0.05
-    reward_batch: int = 16
-    reward_scenes: int = 256
-    reward_prior: float = 0.0
-    """Weight of Σψ² against the mean log-likelihood per vehicle [nats]: a term of which the scenes say little, as of
-    collisions where nobody comes near, keeps about the weight of one unit.
-    """
-    updates: int = 1000
-    batch: int = 64
-    policy_rate: float = 3e-3
-    encoder_rate: float = 1e-3
-    encoder_lead: int = 0
-    """Updates of the encoder before the policy's first: graphs that are still wrong undo what a plan has taught it."""
-    encoder_updates: int | None = None
-    """Updates of the encoder beside the policy's, from its first on; None: as many. More repeat the posterior's errors.
-    """
-    reconstruction: Literal["drawn", "likely", "judged"] = "drawn"
-    """Under which graphs recorded scenes are reproduced: drawn from the encoder, its most probable ones, or those of
-    the posterior, which knows what is to be reproduced; the policy then learns from the scenes that have one.
-    """
-    return_batch: int = 32
-    return_weight: float = 0.02
-    return_fade: float = 1.0
-    """Share of the return's weight that is left at the end of its decline: reconstruction has the last word."""
-    action_weight: float = 0.0
-    """Weight of the squared error of actions, in units of the scale, beside that of states [m²]."""
-    optima: OptimaSettings | None = None
-    """Imitate optima of the return away from the data instead of climbing to them beside the reconstruction.
-
-    The policy is planned first; the return's batch, weight and fade become those of the distance to the optima.
-    """
-    optima_scale: float = 0.5
-    """Distance [m] from which on being far from an optimum counts linearly only."""
-    return_headway: float | None = None
-    """Least starting headway [m] over which a vehicle may react where the return is maximised away from the data.
-
-    None: any. A test of shorter headways is then one of headways never trained.
-    """
-    augmentation: Augmentation = Augmentation()
-    shifts: Shifts = Shifts()
 
 
 def train_grounded(
@@ -105,77 +42,10 @@ def train_grounded(
     if settings.judge == "policy" or settings.optima is not None:
         plan(model, reward, scenes, settings, generator, progress)
     if settings.judge == "policy":
-        posterior = posterior_by_policy(model, reward, judged, _prior(reward, judged, settings))
+        posterior = posterior_by_policy(model, reward, judged, prior_of(reward, judged, settings))
     else:
         posterior = scene_posterior(model, reward, judged, settings, progress)
     fit_encoder_and_policy(model, reward, scenes, posterior, settings, generator, progress)
-
-
-def fit_reward(
-    model: RelationalModel,
-    reward: StructuredReward,
-    scenes: Scenes,
-    settings: GroundedSettings,
-    generator: torch.Generator,
-    progress: Progress = silent,
-) -> None:
-    """Maximise Σ_j log Σ_z p(z_j)·p(u_j | z_j) over the reward's weights and α."""
-    chosen = torch.randperm(len(scenes), generator=generator)[: settings.reward_scenes]
-    expansion = _expand(model, reward, scenes[chosen], settings)
-    prior = combination_prior(reward, _prior(reward, scenes[chosen], settings), scenes.action.shape[1])
-    descent = Descent(reward.parameters(), settings.reward_rate, settings.reward_updates)
-    total = settings.reward_updates
-    for update, batch in enumerate(batches(len(chosen), settings.reward_batch, total, generator)):
-        evidence = torch.logsumexp(_log_likelihood(reward, expansion[batch]) + prior[batch], -1).mean()
-        spread = torch.cat([psi.square() for psi in reward.psi.values()]).sum()
-        descent.step(settings.reward_prior * spread - evidence)
-        progress("reward", update + 1, total, float(evidence.detach()))
-
-
-@torch.no_grad()
-def scene_posterior(
-    model: RelationalModel,
-    reward: StructuredReward,
-    scenes: Scenes,
-    settings: GroundedSettings,
-    progress: Progress = silent,
-) -> Float[Tensor, "S E K"]:
-    """p(z_ij | u) of every scene under the reward as it stands."""
-    parts = []
-    chunk = _CHUNK[settings.likelihood]
-    for start in range(0, len(scenes), chunk):
-        part = scenes[start : start + chunk]
-        likelihood = _log_likelihood(reward, _expand(model, reward, part, settings))
-        parts.append(marginals(reward, likelihood, _prior(reward, part, settings)))
-        progress("graph", min(start + chunk, len(scenes)), len(scenes), 0.0)
-    return torch.cat(parts)
-
-
-_CHUNK = {"dense": 64, "stepwise": 256}  # scenes whose Hessians are held at once
-
-
-@torch.no_grad()
-def _expand(
-    model: RelationalModel, reward: StructuredReward, scenes: Scenes, settings: GroundedSettings
-) -> Expansion | StepExpansion:
-    chunk = _CHUNK[settings.likelihood]
-    parts = [scenes[start : start + chunk] for start in range(0, len(scenes), chunk)]
-    if settings.likelihood == "stepwise":
-        return StepExpansion.concatenate([expand_steps(model, reward, p.state, p.action) for p in parts])
-    horizon, stride = settings.horizon, settings.stride
-    return Expansion.concatenate([expand(model, reward, p.state, p.action, horizon, stride) for p in parts])
-
-
-def _log_likelihood(reward: StructuredReward, expansion: Expansion | StepExpansion) -> Float[Tensor, "B R C"]:
-    match expansion:
-        case Expansion():
-            return log_likelihood(reward, expansion)
-        case StepExpansion():
-            return log_likelihood_by_steps(reward, expansion)
-
-
-def _prior(reward: StructuredReward, scenes: Scenes, settings: GroundedSettings) -> Float[Tensor, "B E K"]:
-    return scene_prior(reward, scenes.state, settings.no_edge_prior, settings.ahead_only)
 
 
 def plan(

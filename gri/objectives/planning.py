@@ -6,7 +6,8 @@ import torch
 from gri.data.synthetic import Scenes
 from gri.model import RelationalModel
 from gri.objectives.common import Descent, batches
-from gri.objectives.gri import GroundedSettings, begun_elsewhere, plan
+from gri.objectives.gri import begun_elsewhere, plan
+from gri.objectives.grounded import GroundedSettings
 from gri.objectives.optima import OptimaSettings, distance, optimal_scenes
 from gri.objectives.variation import Shifts
 from gri.progress import Progress, silent

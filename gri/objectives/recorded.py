@@ -18,7 +18,8 @@ from gri.model import RelationalModel
 from gri.neural import edge_ends
 from gri.objectives.common import Descent, batches
 from gri.objectives.graphs import posterior_by_policy
-from gri.objectives.gri import GroundedSettings, fit_encoder_and_policy, plan
+from gri.objectives.gri import fit_encoder_and_policy, plan
+from gri.objectives.grounded import GroundedSettings
 from gri.progress import Progress, silent
 from gri.rewards import StructuredReward
 from gri.riccati import expand_steps, log_likelihood_by_steps

@@ -14,9 +14,7 @@ from gri import checkpoint, resources
 from gri.data.synthetic import Scenes
 from gri.errors import InputError
 from gri.model import RelationalModel
-from gri.objectives.gri import fit_encoder_and_policy, plan
-from gri.objectives.grounded import GroundedSettings
-from gri.objectives.likelihood import fit_reward
+from gri.objectives.gri import GroundedSettings, fit_encoder_and_policy, fit_reward, plan
 from gri.progress import Progress, silent
 from gri.rewards import StructuredReward
 
@@ -26,8 +24,8 @@ class ToldSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 
     grounded: GroundedSettings
     start: str | None = None
-    """A checkpoint, or a released one's name: training goes on from its encoder and policy, and its reward stays as it
-    is. With no `updates` the policy does as well. None: everything is learned from the scenes.
+    """A checkpoint, or a released one's name: training goes on from its policy, and its reward stays as it is. With no
+    `updates` the policy does as well. None: reward and policy are learned from the scenes.
     """
 
 
@@ -52,7 +50,7 @@ def train_told(
 
 
 def take_over(model: RelationalModel, reward: StructuredReward, start: str) -> None:
-    """Give the model the encoder and the policy of a checkpoint, and the reward that of its policy.
+    """Give the model the policy of a checkpoint, and the reward that of its policy.
 
     Errors: `InputError` where the checkpoint has no reward, or is of another layout or size.
     """
@@ -64,7 +62,6 @@ def take_over(model: RelationalModel, reward: StructuredReward, start: str) -> N
         ("vocabulary", driver.config.vocabulary, model.config.vocabulary),
         ("dynamics", driver.config.dynamics, model.config.dynamics),
         ("scale", driver.config.scale, model.config.scale),
-        ("encoder", driver.config.encoder, model.config.encoder),
         ("decoder", driver.config.decoder, model.config.decoder),
         ("reward", its_reward.config, reward.config),
     ):
@@ -72,6 +69,6 @@ def take_over(model: RelationalModel, reward: StructuredReward, start: str) -> N
             raise InputError(
                 f"{path}: its {what} is {got}, the configuration wants {wanted}; start from another driver"
             )
-    model.load_state_dict(driver.state_dict())
+    model.decoder.load_state_dict(driver.decoder.state_dict())
     reward.load_state_dict(its_reward.state_dict())
     reward.requires_grad_(False)

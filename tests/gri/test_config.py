@@ -7,7 +7,7 @@ from gri import resources
 from gri.config import read_yaml
 from gri.errors import InputError
 from gri.objectives.airl import AdversarialSettings
-from gri.objectives.gri import GroundedSettings
+from gri.objectives.grounded import GroundedSettings
 from gri.train import TrainConfig, model_config, read_train_config
 
 GOOD = """\

@@ -13,7 +13,7 @@ from gri.data.recorded_ranges import NGSIM_LANE_CHANGING
 from gri.data.scenes_reading import Recorded
 from gri.data.synthetic import Scenes
 from gri.fine_tuning import FineTuning
-from gri.objectives.gri import GroundedSettings
+from gri.objectives.grounded import GroundedSettings
 from gri.objectives.recorded import RecordedSettings
 from gri.table2 import ROWS, Job
 from gri.table2_report import Order, publish

@@ -12,7 +12,7 @@ from gri.decoder import DecoderConfig
 from gri.encoder import EncoderConfig
 from gri.evaluate import evaluate
 from gri.objectives.airl import AdversarialSettings, PlannedStart
-from gri.objectives.gri import GroundedSettings
+from gri.objectives.grounded import GroundedSettings
 from gri.objectives.optima import OptimaSettings
 from gri.objectives.planning import PlanSettings
 from gri.objectives.supervised import SupervisedSettings

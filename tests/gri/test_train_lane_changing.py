@@ -17,7 +17,8 @@ from gri.graph import LANE_CHANGING
 from gri.model import RelationalModel
 from gri.neural import edge_ends
 from gri.objectives.airl import AdversarialSettings
-from gri.objectives.gri import GroundedSettings, faded
+from gri.objectives.gri import faded
+from gri.objectives.grounded import GroundedSettings
 from gri.objectives.nri import NriSettings
 from gri.objectives.optima import OptimaSettings
 from gri.objectives.supervised import SupervisedSettings

@@ -11,7 +11,9 @@ from gri.encoder import EncoderConfig
 from gri.graph import InteractionGraph
 from gri.model import RelationalModel
 from gri.objectives import gri as grounded
-from gri.objectives.gri import GroundedSettings, fit_reward, train_grounded
+from gri.objectives.gri import train_grounded
+from gri.objectives.grounded import GroundedSettings
+from gri.objectives.likelihood import fit_reward
 from gri.rewards import StructuredReward
 from gri.rollout import rollout
 

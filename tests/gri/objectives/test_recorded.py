@@ -10,7 +10,7 @@ from gri.graph import EdgeType, InteractionGraph, pairs
 from gri.model import RelationalModel
 from gri.naturalistic import References
 from gri.objectives import recorded
-from gri.objectives.gri import GroundedSettings
+from gri.objectives.grounded import GroundedSettings
 from gri.objectives.recorded import RecordedSettings, fit_references, train_recorded
 from gri.rewards import NaturalisticConfig, StructuredReward
 from gri.riccati import expand_steps, log_likelihood_by_steps

@@ -13,7 +13,7 @@ from gri.encoder import EncoderConfig
 from gri.errors import InputError
 from gri.graph import EdgeType, InteractionGraph
 from gri.model import RelationalModel
-from gri.objectives.gri import GroundedSettings
+from gri.objectives.grounded import GroundedSettings
 from gri.objectives.told import ToldSettings, train_told
 from gri.rewards import StructuredReward
 
