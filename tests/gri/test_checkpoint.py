@@ -108,6 +108,7 @@ def test_tensors_of_another_size_are_named(saved: tuple[Path, RelationalModel]):
 @pytest.mark.parametrize(
     "name",
     [
+        "mixed_merge",
         "sumo_car_following",
         "us101_car_following",
         "us101_car_following_supervised",
