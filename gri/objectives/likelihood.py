@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from gri.data.synthetic import Scenes
-from gri.laplace import Expansion, expand, log_likelihood, marginals
+from gri.laplace import Expansion, combination_prior, expand, log_likelihood, marginals, scene_prior
 from gri.model import RelationalModel
 from gri.objectives.common import Descent, batches
 from gri.objectives.grounded import GroundedSettings

@@ -14,7 +14,9 @@ from gri import checkpoint, resources
 from gri.data.synthetic import Scenes
 from gri.errors import InputError
 from gri.model import RelationalModel
-from gri.objectives.gri import GroundedSettings, fit_encoder_and_policy, fit_reward, plan
+from gri.objectives.gri import fit_encoder_and_policy, plan
+from gri.objectives.grounded import GroundedSettings
+from gri.objectives.likelihood import fit_reward
 from gri.progress import Progress, silent
 from gri.rewards import StructuredReward
 
