@@ -146,15 +146,13 @@ def drive(world: Sumo, road: RoadFrame, begin: Start) -> list[Episode]:
 def _command(world: Sumo, road: RoadFrame, task: Round, active: Sequence[int], pose: Pose, now: Snapshot) -> None:
     """Tell SUMO where the owned vehicles will be, and make those between two lanes visible in both."""
     xy, along = road.to_world(pose.s.ravel(), pose.d.ravel())
-    told = [(g, role, task.groups[g].ids[role]) for g in active for role in task.owned]
-    rows, lanes = [3 * g + role for g, role, _ in told], None
-    if task.lanes is not None:
-        lanes = [
-            twins.place(world, road, vehicle, pose.of(g, role), task.lanes, now, task.dt) if role == 0 else ""
-            for g, role, vehicle in told
-        ]
-    heading = (along + pose.heading.ravel())[rows]
-    world.command_all([vehicle for *_, vehicle in told], xy[rows], heading, pose.v.ravel()[rows], lanes)
+    points, headings, speeds = xy.tolist(), (along + pose.heading.ravel()).tolist(), pose.v.ravel().tolist()
+    for g in active:
+        for role in task.owned:
+            vehicle, lane, k = task.groups[g].ids[role], "", 3 * g + role
+            if task.lanes is not None and role == 0:
+                lane = twins.place(world, road, vehicle, pose.of(g, role), task.lanes, now, task.dt)
+            world.command(vehicle, points[k][0], points[k][1], headings[k], speeds[k], lane)
 
 
 def _between(frame: Frame) -> float:

@@ -7,6 +7,7 @@ Model: as road, but every vehicle ahead counts as `NOMINAL_LENGTH` long, because
 positions and know no lengths (see `model_offsets`).
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
@@ -23,9 +24,9 @@ def heading_of(sumo_angle: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     return -((-heading + np.pi) % (2 * np.pi) - np.pi)
 
 
-def sumo_angle_of(heading: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+def sumo_angle_of(heading: float) -> float:
     """Navigational angle [deg, 0 = north, clockwise] of a heading, in [0, 360)."""
-    return (90.0 - np.degrees(heading)) % 360.0
+    return (90.0 - math.degrees(heading)) % 360.0
 
 
 @dataclass(frozen=True)

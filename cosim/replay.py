@@ -146,7 +146,10 @@ class Player:
             return
         s, d, heading, v = (np.array([getattr(track, n)[k] for track, k in rows]) for n in ("s", "d", "heading", "v"))
         xy, along = self._road.to_world(s, d)
-        self._world.command_all([track.name for track, _ in rows], xy, along + heading, v)
+        for (track, _), (x, y, angle, speed) in zip(
+            rows, np.column_stack([xy, along + heading, v]).tolist(), strict=True
+        ):
+            self._world.command(track.name, x, y, angle, speed)
 
     def _insert(self, track: Track) -> None:
         flow = self._flows.get(track.lane, self._traffic.flows[0])

@@ -250,33 +250,17 @@ class Sumo:
 
         SUMO books the vehicle on the nearest lane, or on `lane`, which must be one that passes there.
         """
-        self.command_all([vehicle], np.array([[x, y]]), np.array([heading]), np.array([speed]), [lane])
-
-    def command_all(
-        self,
-        vehicles: Sequence[str],
-        xy: Float[np.ndarray, "V 2"],
-        heading: Float[np.ndarray, " V"],
-        speed: Float[np.ndarray, " V"],
-        lanes: Sequence[str] | None = None,
-    ) -> None:
-        """`command` for several vehicles at once; all are refused if one number is not finite."""
-        told = np.column_stack([xy, heading, speed])
-        if not np.isfinite(told).all():
-            row = int(np.flatnonzero(~np.isfinite(told).all(axis=1))[0])
-            x, y, turned, v = told[row].tolist()
+        if not math.isfinite(x + y + heading + speed):
             raise SumoError(
-                f"refused a non-finite command for {vehicles[row]}: x={x}, y={y}, heading={turned}, speed={v}"
+                f"refused a non-finite command for {vehicle}: x={x}, y={y}, heading={heading}, speed={speed}"
             )
-        told[:, 2] = sumo_angle_of(heading)
-        for vehicle, (x, y, angle, v), lane in zip(vehicles, told.tolist(), lanes or [""] * len(told), strict=True):
-            _set_speed(vehicle, v)
-            if lane:
-                edge, _, index = lane.rpartition("_")
-                _move(vehicle, edge, int(index), x, y, angle, _GIVEN_LANE_EXACT_POSITION)
-            else:
-                _move(vehicle, "", -1, x, y, angle, _KEEP_ROUTE_EXACT_POSITION)
-        self._commanded.update(vehicles)
+        _set_speed(vehicle, speed)
+        if lane:
+            edge, _, index = lane.rpartition("_")
+            _move(vehicle, edge, int(index), x, y, sumo_angle_of(heading), _GIVEN_LANE_EXACT_POSITION)
+        else:
+            _move(vehicle, "", -1, x, y, sumo_angle_of(heading), _KEEP_ROUTE_EXACT_POSITION)
+        self._commanded.add(vehicle)
 
     def is_commanded(self, vehicle: str) -> bool:
         """Whether the vehicle has a command for the coming step."""

@@ -59,11 +59,11 @@ def _play(view: View, command: list[str]) -> None:
             traci.vehicle.setLength(vehicle, float(view.length[role]))
             traci.vehicle.setWidth(vehicle, float(view.width[role]))
             traci.vehicle.setColor(vehicle, COLOURS[role])
-        x, y, angle = view.feature("x"), view.feature("y"), sumo_angle_of(view.feature("heading"))
+        x, y, heading = (view.feature(name) for name in ("x", "y", "heading"))
         began = time.monotonic()
         for k in range(len(view.time)):
             for role in np.flatnonzero(view.present[k]):
-                pose = float(x[k, role]), float(y[k, role]), float(angle[k, role])
+                pose = float(x[k, role]), float(y[k, role]), sumo_angle_of(float(heading[k, role]))
                 traci.vehicle.moveToXY(view.ids[role], "", -1, *pose, keepRoute=2)
             if k == 0:
                 traci.gui.trackVehicle("View #0", view.ids[1])

@@ -18,7 +18,7 @@ def test_headings_by_hand():
 
 @given(st.floats(-3.14, 3.14))
 def test_angle_round_trip(heading: float):
-    assert heading_of(sumo_angle_of(np.array([heading])))[0] == pytest.approx(heading, abs=1e-9)
+    assert heading_of(np.array([sumo_angle_of(heading)]))[0] == pytest.approx(heading, abs=1e-9)
 
 
 def test_origin_is_where_s_is_zero():

@@ -224,21 +224,6 @@ def test_non_finite_commands_are_refused(road, bad):
                 world.command("a", *command)
 
 
-def test_several_commands_at_once_are_all_refused_or_all_carried_out(road):
-    with road(vehicle("a", 10.0), vehicle("b", 40.0)) as world:
-        (s, d, *_), (t, *_) = state_of(world, "a"), state_of(world, "b")
-        xy, level, speed = np.array([[s + 2.0, d], [t + 2.4, d]]), np.zeros(2), np.array([10.0, 12.0])
-        with pytest.raises(SumoError, match="for b"):
-            world.command_all(["a", "b"], xy, level, np.array([10.0, math.nan]))
-        assert not world.is_commanded("a")
-        for name in "ab":
-            world.take(name)
-        world.command_all(["a", "b"], xy, level, speed)
-        world.step()
-        assert [state_of(world, name)[0] for name in "ab"] == pytest.approx(xy[:, 0], abs=1e-9)
-        assert [state_of(world, name)[3] for name in "ab"] == pytest.approx(speed, abs=1e-9)
-
-
 def test_a_second_simulation_is_refused_and_the_first_lives_on(road):
     with road(vehicle("a", 10.0)) as world:
         with pytest.raises(SumoError, match="already running"), road(vehicle("b", 10.0)):
