@@ -112,11 +112,12 @@ class Record:
 
     def _lost(self, frame: Frame, snapshot: Snapshot) -> dict[int, Ending]:
         """The groups of which a vehicle is gone, or a driven one where there is no lane."""
-        owned_rows, lane = frame.rows[:, self._owned], snapshot.lane
-        if frame.complete and all(map(lane.__getitem__, owned_rows.ravel().tolist())):
+        if frame.complete and "" not in snapshot.lane:
             return {}
-        there, rows = np.logical_and.reduce(frame.valid, axis=1).tolist(), owned_rows.tolist()
-        off_road = {g: Ending.OFF_ROAD for g, owned in enumerate(rows) if there[g] and not all(lane[r] for r in owned)}
+        there, rows = np.logical_and.reduce(frame.valid, axis=1).tolist(), frame.rows[:, self._owned].tolist()
+        off_road = {
+            g: Ending.OFF_ROAD for g, owned in enumerate(rows) if there[g] and not all(snapshot.lane[r] for r in owned)
+        }
         return off_road | {g: Ending.LOST for g, all_there in enumerate(there) if not all_there}
 
     def _endings(self, frame: Frame, before: Frame, snapshot: Snapshot) -> Sequence[Ending | None]:

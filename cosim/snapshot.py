@@ -30,7 +30,6 @@ class Snapshot:
     length: Float[np.ndarray, " V"]
     width: Float[np.ndarray, " V"]
     lane: tuple[str, ...]
-    """Empty where a vehicle is off all lanes, and of everybody else in a snapshot around some vehicles."""
 
     @cached_property
     def where(self) -> Mapping[str, int]:
@@ -145,9 +144,8 @@ class Around:
 
     def stepped(self, entered: Sequence[str], gone: Sequence[str]) -> None:
         """One step later."""
-        if not set(gone).isdisjoint(self.ids):
-            self.ids = tuple([vehicle for vehicle in self.ids if vehicle not in gone])
-        self.ids += tuple([vehicle for vehicle in entered if vehicle not in gone])
+        if entered or gone:
+            self.ids = tuple([vehicle for vehicle in (*self.ids, *entered) if vehicle not in gone])
 
 
 LANE_AHEAD = 80.0  # [m] along its own lane within which others have to do with a vehicle, if nothing else is said

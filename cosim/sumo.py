@@ -86,7 +86,6 @@ class Sumo:
         self, road: RoadFrame, around: Sequence[str] | None = None, lane_ahead: float = LANE_AHEAD
     ) -> Snapshot:
         """Read every vehicle on the road network, or only those who can be near the vehicles `around` (see `near`)."""
-        asked = None if around is None else frozenset(around)
         if around is None:
             ids, xy, s, d = self._positions(road, _real(libsumo.vehicle.getIDList()))
         else:
@@ -106,7 +105,7 @@ class Sumo:
             d=d,
             length=self._sized[1],
             width=self._sized[2],
-            lane=tuple(map(_lane, ids) if asked is None else [_lane(v) if v in asked else "" for v in ids]),
+            lane=tuple(map(_lane, ids)),
         )
 
     def _positions(self, road: RoadFrame, ids: tuple[str, ...]) -> _Positions:
