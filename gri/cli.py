@@ -94,7 +94,7 @@ def evaluate_command(
     split: Annotated[str | None, typer.Option(help="Of the scene file; default: all its scenes.")] = None,
 ) -> None:
     """3. Score a checkpoint on the test scenes it was not trained on."""
-    path = path if path.suffix else resources.checkpoint(str(path))
+    path = resources.checkpoint_at(path)
     model, made = checkpoint.load(path), checkpoint.provenance(path)
     if "config" not in made:
         raise InputError(f"{path}: does not say which scenes it belongs to; evaluate one written by `gri train`")

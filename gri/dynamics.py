@@ -183,7 +183,6 @@ def dynamics_named(name: DynamicsName | str) -> Dynamics:
 def constant_speed(start: Float[Tensor, "B D"], steps: int, dynamics: Dynamics, dt: float) -> Float[Tensor, "B T D"]:
     """States of a vehicle that goes straight on, at the start and after each of `steps` actions."""
     kept = torch.tensor([float(name in ("x", "y", "v", "vx")) for name in dynamics.state])
-    speed = start[:, dynamics.index("v" if "v" in dynamics.state else "vx")]
-    travelled = speed[:, None] * torch.arange(steps + 1) * dt
+    travelled = start[:, dynamics.speed, None] * torch.arange(steps + 1) * dt
     along = torch.eye(start.shape[1])[dynamics.index("x")]
     return (start * kept)[:, None] + travelled[..., None] * along

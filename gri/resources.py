@@ -20,6 +20,11 @@ def checkpoint(name: str) -> Path:
     return PACKAGE / "checkpoints" / f"{name}.pt"
 
 
+def checkpoint_at(given: str | Path) -> Path:
+    """The path of a checkpoint given as such (with an ending), or by the bare name of a released one."""
+    return Path(given) if Path(given).suffix else checkpoint(str(given))
+
+
 def checkpoints() -> list[str]:
     """Names of the released checkpoints."""
     return sorted(path.stem for path in (PACKAGE / "checkpoints").glob("*.pt"))

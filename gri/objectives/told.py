@@ -5,8 +5,6 @@ the labels mean, also where the reward sees a relation differently. Reward and p
 are those of a trained driver.
 """
 
-from pathlib import Path
-
 import msgspec
 import torch
 
@@ -56,7 +54,7 @@ def take_over(model: RelationalModel, reward: StructuredReward, start: str) -> N
 
     Errors: `InputError` where the checkpoint has no reward, or is of another layout or size.
     """
-    path = Path(start) if Path(start).suffix else resources.checkpoint(start)
+    path = resources.checkpoint_at(start)
     driver, its_reward = checkpoint.load(path), checkpoint.load_reward(path)
     if its_reward is None:
         raise InputError(f"{path}: was trained without a reward; field objective.start wants a grounded driver")
