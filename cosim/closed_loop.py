@@ -231,10 +231,10 @@ def simulation(scenario: Scenario, files: Files) -> Iterator[RunningRoad]:
     files.signs.write_text(sign_file(scenario.traffic))
     paths = (str(path) for path in (files.net, files.routes, files.signs, files.log))
     with sumo(arguments(scenario, *paths), files.log) as world:
-        known = world.edges()
+        known = world.net.edges()
         if missing := [edge for edge in scenario.road.edges if edge not in known]:
             raise InputError(f"road.edges: the net {files.net} has no edge {missing[0]!r}")
-        frame = world.road(scenario.road.edges, scenario.road.origin)
+        frame = world.net.road(scenario.road.edges, scenario.road.origin)
         player = None
         if isinstance(scenario.background, Replay):
             tracks = tracks_of(scenario.background, scenario.step)
@@ -248,11 +248,11 @@ def _merge_lanes(world: Sumo, road: RoadFrame, scenario: Scenario) -> MergeLanes
     rule = scenario.group
     if not isinstance(rule, Merge):
         return None
-    known = world.edges()
+    known = world.net.edges()
     for lane in (rule.lane, target_lane(rule)):
         if lane not in known:
             raise InputError(f"group.lane: got {rule.lane!r}, but the net has no lane {lane!r}; name the ending lane")
-    return MergeLanes(world.strip(rule.lane, road), world.strip(target_lane(rule), road))
+    return MergeLanes(world.net.strip(rule.lane, road), world.net.strip(target_lane(rule), road))
 
 
 def _counted(episodes: Sequence[Episode]) -> int:

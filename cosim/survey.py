@@ -38,7 +38,7 @@ def survey(scenario: Scenario, files: Files, duration: float, tell: Tell) -> Sur
     with simulation(scenario, files) as road:
         lasts = duration if road.player is None else min(duration, road.player.end)
         total = first + scenario.steps(lasts)
-        lanes = {edge: road.world.lane_count(edge) for edge in scenario.road.edges}
+        lanes = {edge: road.world.net.lane_count(edge) for edge in scenario.road.edges}
         for k in range(1, total + 1):
             report = road.world.step()
             collisions, teleports = collisions + bool(report.collisions), teleports + len(report.teleported)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.snapshot import Driving, LaneChange
-from cosim.sumo import Sumo
+from cosim.sumo import Drivers
 
 URGENT = int(LaneChange.URGENT)  # as plain numbers, which are faster
 SIDES = tuple(
@@ -46,7 +46,7 @@ class Wishes:
     """Behind whom a vehicle that urgently wants to another lane would drive there, and the gap to it [m]."""
 
 
-def wishes(world: Sumo, driving: Driving, candidates: Iterable[int]) -> Wishes:
+def wishes(drivers: Drivers, driving: Driving, candidates: Iterable[int]) -> Wishes:
     """Who asks whom, and who wants to drive behind whom, of the candidates and, as helpers may ask too, the asked."""
     asked: dict[int, tuple[float, str]] = {}
     targets: dict[int, tuple[str, float]] = {}
@@ -56,11 +56,11 @@ def wishes(world: Sumo, driving: Driving, candidates: Iterable[int]) -> Wishes:
     for row in waiting:  # grows
         vehicle = driving.ids[row]
         for to_left, (wish, behind, ahead) in zip((True, False), SIDES, strict=True):
-            state = world.lane_change_state(vehicle, to_left)
+            state = drivers.lane_change_state(vehicle, to_left)
             if not (state & URGENT and state & wish):
                 continue
-            others = [world.neighbour(vehicle, to_left, ahead=False)] if state & behind else []
-            target, gap = world.neighbour(vehicle, to_left, ahead=True)
+            others = [drivers.neighbour(vehicle, to_left, ahead=False)] if state & behind else []
+            target, gap = drivers.neighbour(vehicle, to_left, ahead=True)
             if target in rows:
                 targets[row] = target, gap
                 if state & ahead and driving.v[row] > driving.v[rows[target]]:
@@ -84,8 +84,8 @@ def now_behind(driving: Driving, vehicle: str, centres: Sequence[float]) -> int 
     return next((row for row in followers if abs(centres[driving.lane[row]] - own) < SAME_LANE), None)
 
 
-def room(world: Sumo, driving: Driving, behind: int, own: int) -> float:
+def room(drivers: Drivers, driving: Driving, behind: int, own: int) -> float:
     """What is left of the gap between two vehicles beyond the one the rear driver holds to be secure [m]."""
     rear, front = driving.ids[behind], driving.ids[own]
-    secure = world.secure_gap(rear, driving.v[behind], front, driving.v[own], world.braking(front))
+    secure = drivers.secure_gap(rear, driving.v[behind], front, driving.v[own], drivers.braking(front))
     return driving.gap[behind] - secure

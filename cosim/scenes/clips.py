@@ -52,7 +52,7 @@ def cut(window: Window, tape: Tape, steps: int) -> Clip | None:
     if tape.every == 1:
         values[:, :-1, COLUMN["v_next"]] = values[:, 1:, COLUMN["v"]]
     ids = [moments[0].ids[row] for row in rows[:, 0]]
-    characters = tuple(tape.world.character(vehicle) for vehicle in ids)
+    characters = tuple(tape.world.drivers.character(vehicle) for vehicle in ids)
     leader, asker, target = (values[..., COLUMN[name]].astype(int) for name in ("leader", "asker", "target"))
     led, after, wanted = ((whom[..., None] == window.vehicles).any(-1) for whom in (leader, asker, target))
     concerned = led | ((after | wanted) & (leader != NOBODY))
@@ -74,9 +74,9 @@ def _allowed(
             allowed[j, t] = 0.0
             continue
         if number not in braking:
-            braking[number] = tape.world.braking(moment.ids[row])
+            braking[number] = tape.world.drivers.braking(moment.ids[row])
         v, room, v_leader = values[j, t, COLUMN["v"]], values[j, t, COLUMN[gap]], moment.values[row, COLUMN["v"]]
-        allowed[j, t] = tape.world.follow_speed(ids[j], float(v), float(room), float(v_leader), braking[number])
+        allowed[j, t] = tape.world.drivers.follow_speed(ids[j], float(v), float(room), float(v_leader), braking[number])
     return allowed
 
 

@@ -99,7 +99,7 @@ class Reel:
     def __init__(self, world: Sumo, spec: Spec) -> None:
         scenario, self.spec = spec.scenario, spec
         self._every = round(DT / scenario.step)
-        road = world.road(scenario.road.edges, scenario.road.origin)
+        road = world.net.road(scenario.road.edges, scenario.road.origin)
         stretch = Stretch(world, road, scenario.road.edges, scenario.road.length)
         self._numbers = Numbers([flow.name for flow in scenario.traffic.flows])
         length = spec.rules.longest + 1

@@ -82,7 +82,7 @@ class Stretch:
     """The lanes of a chain of edges between s = 0 and `reach` [m]."""
 
     def __init__(self, world: Sumo, road: RoadFrame, edges: Sequence[str], reach: float) -> None:
-        strips = {name: world.strip(name, road) for name in world.lanes_of(edges)}
+        strips = {name: world.net.strip(name, road) for name in world.net.lanes_of(edges)}
         self.names = [name for name, strip in strips.items() if strip.end > 0 and strip.begin < reach]
         self.lanes = [_lane(world, name, road) for name in self.names]
         self.centres = [lane.centre for lane in self.lanes]
@@ -90,8 +90,8 @@ class Stretch:
 
 
 def _lane(world: Sumo, name: str, road: RoadFrame) -> Lane:
-    shape = world.shape(name)
-    return Lane(name.rpartition("_")[0], shape, world.lane_length(name), float(road.to_road(shape)[1].mean()))
+    shape = world.net.shape(name)
+    return Lane(name.rpartition("_")[0], shape, world.net.length(name), float(road.to_road(shape)[1].mean()))
 
 
 class Tape:
@@ -122,7 +122,7 @@ class Tape:
             if first and self.gold:
                 self._tries.append((first, self._try(first)))
             report = self.world.step()
-            driving = self.world.driving(self.stretch.names)
+            driving = self.world.drivers.driving(self.stretch.names)
             if first and (self.gold or self.every > 1):  # else the next moment says it
                 v = dict(zip(driving.ids, driving.v, strict=True))
                 first.values[:, COLUMN["v_next"]] = [v.get(vehicle, np.nan) for vehicle in first.ids]
@@ -154,10 +154,10 @@ class Tape:
         lanes, before, changes = self.stretch.lanes, self._lane_of, []
         now = dict(zip(driving.ids, driving.lane, strict=True))
         for vehicle in [vehicle for vehicle, lane in now.items() if before.get(vehicle) != lane]:
-            (self._restless.add if self.world.must_leave(vehicle) else self._restless.discard)(vehicle)
+            (self._restless.add if self.world.drivers.must_leave(vehicle) else self._restless.discard)(vehicle)
             source, target = before.get(vehicle), now[vehicle]
             if source is not None and lanes[source].edge == lanes[target].edge:
-                state = self.world.lane_change_state(vehicle, lanes[target].centre > lanes[source].centre)
+                state = self.world.drivers.lane_change_state(vehicle, lanes[target].centre > lanes[source].centre)
                 behind = now_behind(driving, vehicle, self.stretch.centres)
                 name = "" if behind is None else driving.ids[behind]
                 changes.append(Change(vehicle, source, target, state, name))
@@ -174,7 +174,7 @@ class Tape:
         values[:, : len(READ)] = np.array(read, dtype=float).T
         concerned = self._restless | self._asked
         wanted = wishes(
-            self.world, driving, [driving.where[vehicle] for vehicle in concerned if vehicle in driving.where]
+            self.world.drivers, driving, [driving.where[vehicle] for vehicle in concerned if vehicle in driving.where]
         )
         self._asked = {driving.ids[row] for row in wanted.askers}
         for row, asker in wanted.askers.items():
@@ -182,7 +182,7 @@ class Tape:
         for row, (target, gap) in wanted.targets.items():
             values[row, COLUMN["target"]], values[row, COLUMN["target_gap"]] = numbers[target], gap
         row_of = dict(zip(map(numbers.__getitem__, driving.ids), range(count), strict=True))
-        limits = self.world.limits(self.stretch.names)
+        limits = self.world.net.limits(self.stretch.names)
         return Moment(self.count, time, driving.ids, driving.leader, row_of, values, changes, limits)
 
     def _mark(self, moment: Moment, before: Moment | None, driving: Driving, change: Change) -> None:
@@ -194,4 +194,4 @@ class Tape:
         if behind is not None:
             own = moment.row[number]
             moment.values[own, COLUMN["cut"]] = self.numbers[driving.ids[behind]]
-            moment.values[own, COLUMN["room"]] = room(self.world, driving, behind, own)
+            moment.values[own, COLUMN["room"]] = room(self.world.drivers, driving, behind, own)

@@ -255,7 +255,7 @@ def test_sumo_reports_the_overlap_that_we_cause(road):
 
 def test_road_frame_of_the_net_starts_where_the_study_area_starts(road):
     with road(vehicle("a", 10.0)) as world:
-        frame = world.road(("upstream", "entry", "weave", "exit", "downstream_free", "downstream"), "entry")
+        frame = world.net.road(("upstream", "entry", "weave", "exit", "downstream_free", "downstream"), "entry")
         s, _ = frame.to_road(np.array([[0.0, -5.0], [640.0, -5.0]]))
         assert s.tolist() == [0.0, 640.0]
         assert replace(frame, origin=0.0).to_road(np.array([[0.0, 0.0]]))[0] == 500.0
@@ -265,7 +265,7 @@ def test_a_vehicle_that_is_nowhere_is_in_no_snapshot(road, monkeypatch):
     """SUMO may go on listing a vehicle that left all lanes for a few steps, and answers with a sentinel."""
     known, nowhere = libsumo.vehicle.getPosition, (libsumo.constants.INVALID_DOUBLE_VALUE,) * 2
     with road(vehicle("a", 50.0), vehicle("b", 100.0)) as world:
-        monkeypatch.setattr("cosim.sumo._point", lambda v: nowhere if v == "a" else known(v))
+        monkeypatch.setattr("cosim.sumo.world._point", lambda v: nowhere if v == "a" else known(v))
         assert world.snapshot(ROAD).ids == ("b",)
         assert world.snapshot(ROAD, around=["a", "b"]).ids == ("b",)
 
@@ -282,11 +282,11 @@ def test_lanes_keep_their_distance_in_a_bend(tmp_path):
     """Where edges of a bend meet, rounded lane shapes overlap by centimetres; the road must not turn back there."""
     net, log = shipped("sumo_nets/curved/curved.net.xml"), tmp_path / "sumo.log"
     with sumo(["--net-file", str(net), "--no-step-log", "--error-log", str(log)], log) as world:
-        road = world.road(["entry", "merge", "exit", "downstream_free"], "entry")
+        road = world.net.road(["entry", "merge", "exit", "downstream_free"], "entry")
         for edge, lanes in (("entry", 3), ("merge", 4), ("exit", 3)):
             for index in range(lanes):
-                strip = world.strip(f"{edge}_{index}", road)
+                strip = world.net.strip(f"{edge}_{index}", road)
                 assert strip.centre == pytest.approx(-3.5 * (lanes - 1 - index), abs=0.02)
-        source, beyond = world.strip("merge_0", road), world.strip("exit_0", road)
+        source, beyond = world.net.strip("merge_0", road), world.net.strip("exit_0", road)
     assert (source.begin, source.end) == pytest.approx((150.0, 300.5), abs=0.1)
     assert beyond.begin == pytest.approx(source.end, abs=0.05)

@@ -4,13 +4,13 @@ import math
 
 from cosim.scenes.asking import now_behind, wishes
 from cosim.snapshot import Driving, LaneChange
-from cosim.sumo import Sumo
+from cosim.sumo import Drivers
 
 WISH = int(LaneChange.LEFT | LaneChange.STRATEGIC | LaneChange.URGENT)
 FOLLOWER, LEADER = int(LaneChange.BLOCKED_BY_LEFT_FOLLOWER), int(LaneChange.BLOCKED_BY_LEFT_LEADER)
 
 
-class World(Sumo):
+class Told(Drivers):
     """Knows the neighbours it is told of, (vehicle, ahead) -> (other, distance), and wishes to the left."""
 
     def __init__(self, neighbours: dict[tuple[str, bool], tuple[str, float]], **left: int) -> None:
@@ -36,42 +36,42 @@ def driving(v: dict[str, float] | None = None, leader: dict[str, str] | None = N
     )
 
 
-def asked(world: World, traffic: Driving | None = None) -> dict[int, str]:
-    return wishes(world, traffic or driving(), [0, 1]).askers
+def asked(drivers: Told, traffic: Driving | None = None) -> dict[int, str]:
+    return wishes(drivers, traffic or driving(), [0, 1]).askers
 
 
 def test_who_urgently_wants_in_asks_who_blocks_it_from_behind():
     near = {("m", False): ("f", 5.0)}
-    assert asked(World(near, m=WISH | FOLLOWER)) == {2: "m"}
-    assert asked(World(near, m=WISH)) == {}
-    assert asked(World(near, m=(WISH | FOLLOWER) & ~int(LaneChange.URGENT))) == {}
-    assert asked(World(near, m=FOLLOWER)) == {}
-    assert wishes(World(near, m=WISH | FOLLOWER), driving(), [1]).askers == {}
+    assert asked(Told(near, m=WISH | FOLLOWER)) == {2: "m"}
+    assert asked(Told(near, m=WISH)) == {}
+    assert asked(Told(near, m=(WISH | FOLLOWER) & ~int(LaneChange.URGENT))) == {}
+    assert asked(Told(near, m=FOLLOWER)) == {}
+    assert wishes(Told(near, m=WISH | FOLLOWER), driving(), [1]).askers == {}
 
 
 def test_a_slower_one_ahead_is_asked_to_be_overtaken():
-    world = World({("m", True): ("l", 5.0)}, m=WISH | LEADER)
-    assert asked(world, driving({"l": 8.0})) == {3: "m"}
-    assert asked(world, driving({"l": 12.0})) == {}
+    drivers = Told({("m", True): ("l", 5.0)}, m=WISH | LEADER)
+    assert asked(drivers, driving({"l": 8.0})) == {3: "m"}
+    assert asked(drivers, driving({"l": 12.0})) == {}
 
 
 def test_who_is_asked_may_ask_too():
-    world = World({("m", False): ("n", 5.0), ("n", False): ("l", 3.0)}, m=WISH | FOLLOWER, n=WISH | FOLLOWER)
-    assert wishes(world, driving(), [0]).askers == {1: "m", 3: "n"}
-    assert wishes(world, driving(), []).askers == {}
+    drivers = Told({("m", False): ("n", 5.0), ("n", False): ("l", 3.0)}, m=WISH | FOLLOWER, n=WISH | FOLLOWER)
+    assert wishes(drivers, driving(), [0]).askers == {1: "m", 3: "n"}
+    assert wishes(drivers, driving(), []).askers == {}
 
 
 def test_who_urgently_wants_in_has_a_target_ahead_blocked_or_not():
     near = {("m", True): ("l", 5.0), ("m", False): ("f", 4.0)}
     for state in (WISH, WISH | FOLLOWER, WISH | LEADER):
-        assert wishes(World(near, m=state), driving({"l": 12.0}), [0, 1]).targets == {0: ("l", 5.0)}
-    assert wishes(World(near, m=WISH & ~int(LaneChange.URGENT)), driving(), [0, 1]).targets == {}
-    assert wishes(World({}, m=WISH), driving(), [0, 1]).targets == {}
+        assert wishes(Told(near, m=state), driving({"l": 12.0}), [0, 1]).targets == {0: ("l", 5.0)}
+    assert wishes(Told(near, m=WISH & ~int(LaneChange.URGENT)), driving(), [0, 1]).targets == {}
+    assert wishes(Told({}, m=WISH), driving(), [0, 1]).targets == {}
 
 
 def test_of_two_who_ask_the_nearer_counts():
     near = {("m", False): ("f", 5.0), ("n", False): ("f", 3.0)}
-    assert asked(World(near, m=WISH | FOLLOWER, n=WISH | FOLLOWER)) == {2: "n"}
+    assert asked(Told(near, m=WISH | FOLLOWER, n=WISH | FOLLOWER)) == {2: "n"}
 
 
 def test_who_drives_behind_in_the_same_lane():

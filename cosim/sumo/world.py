@@ -1,4 +1,4 @@
-"""The only door to libsumo: start, step, read, command, close.
+"""The running simulation: start, step, read, command, close.
 
 One guarded simulation per process. What a command changes and when it is seen is written in docs/coupling.md.
 Measured facts behind the choices here: plain getters are faster than subscriptions in libsumo; a vehicle moved by
@@ -11,14 +11,15 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
-from typing import TypeVar
 
 import libsumo
 import numpy as np
-from jaxtyping import Float
 
-from cosim.frames import RoadFrame, heading_of, sumo_angle_of, without_straight_vertices
-from cosim.snapshot import LANE_AHEAD, Around, Character, Driving, Snapshot, StepReport, Strip, near, rows_of
+from cosim.frames import RoadFrame, heading_of, sumo_angle_of
+from cosim.snapshot import LANE_AHEAD, Around, Snapshot, StepReport, near, rows_of
+from cosim.sumo.drivers import Drivers
+from cosim.sumo.kept import Kept
+from cosim.sumo.net import Net
 
 _NO_CHECKS = 0  # speed mode: SUMO neither bounds nor corrects the commanded speed
 _NO_CHANGES = 0  # lane-change mode: SUMO never changes the vehicle's lane
@@ -30,15 +31,12 @@ road too far away to be near, in between those who were 30 m and 4 m. Nobody com
 """
 _TWIN = "twin:"  # prefix of the ids of twins
 _NOWHERE = (libsumo.constants.INVALID_DOUBLE_VALUE,) * 2  # where a vehicle is that is off all lanes
-_LEADER_RANGE = 100.0  # [m] within which leaders are told
 
 # libsumo's own functions without their Python wrappers, for what is asked of every vehicle in every step: half the time
 _raw = libsumo._libsumo
-_position, _speed = _raw.vehicle_getLanePosition, _raw.vehicle_getSpeed
-_point, _angle, _acceleration = _raw.vehicle_getPosition, _raw.vehicle_getAngle, _raw.vehicle_getAcceleration
-_vehicles = _raw.lane_getLastStepVehicleIDs
-_lane, _set_speed, _move = _raw.vehicle_getLaneID, _raw.vehicle_setSpeed, _raw.vehicle_moveToXY
-T = TypeVar("T")
+_point, _angle, _lane = _raw.vehicle_getPosition, _raw.vehicle_getAngle, _raw.vehicle_getLaneID
+_speed, _acceleration = _raw.vehicle_getSpeed, _raw.vehicle_getAcceleration
+_set_speed, _move = _raw.vehicle_setSpeed, _raw.vehicle_moveToXY
 _NATIVE_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
 
 
@@ -51,12 +49,12 @@ _Positions = tuple[tuple[str, ...], np.ndarray, np.ndarray, np.ndarray]
 
 
 class Sumo:
-    """The running simulation. Obtained from `sumo(...)` only."""
+    """The running simulation, with its network and SUMO's drivers in it. Obtained from `sumo(...)` only."""
 
     def __init__(self) -> None:
-        self._sizes = _Kept(lambda v: (libsumo.vehicle.getLength(v), libsumo.vehicle.getWidth(v)))
+        self._sizes = Kept(lambda v: (libsumo.vehicle.getLength(v), libsumo.vehicle.getWidth(v)))
         self._sized: tuple[tuple[str, ...], np.ndarray, np.ndarray] = ((), np.empty(0), np.empty(0))
-        self._least_gaps = _Kept(libsumo.vehicle.getMinGap)
+        self.net, self.drivers = Net(), Drivers(self._sizes)
         self._modes: dict[str, tuple[int, int]] = {}  # (speed mode, lane-change mode) before take-over
         self._twins: set[str] = set()  # vehicles that have one
         self._rings: list[Around] = []  # what the last snapshots around vehicles found, see _RINGS
@@ -133,110 +131,6 @@ class Sumo:
             rings.append(Around(around, lane_ahead, ids, now))
         return ids, xy, s, d
 
-    def driving(self, lanes: Sequence[str]) -> Driving:
-        """Read the vehicles on these lanes and what SUMO says of their drivers; shadows of no kind, no twins."""
-        on = [*map(_vehicles, lanes)]
-        ids = [v for of_lane in on for v in of_lane]
-        position = [*map(_position, ids)]
-        leader = [v for of_lane in on if of_lane for v in (*of_lane[1:], "")]  # who is ahead comes later
-        ahead, sizes, least = [*position[1:], 0.0], self._sizes, self._least_gaps
-        gap = [
-            p - sizes[other][0] - own - least[v] if other else math.inf
-            for v, other, own, p in zip(ids, leader, position, ahead, strict=True)
-        ]
-        for row in [row for row, other in enumerate(leader) if not other]:
-            leader[row], gap[row] = libsumo.vehicle.getLeader(ids[row], _LEADER_RANGE) or ("", math.inf)
-        return Driving(
-            ids=ids,
-            lane=[k for k, of_lane in enumerate(on) for _ in of_lane],
-            position=position,
-            v=[*map(_speed, ids)],
-            leader=leader,
-            gap=gap,
-        )
-
-    def lane_change_state(self, vehicle: str, left: bool) -> int:
-        """What a driver's lane-change model thought of one side in the last step (`cosim.snapshot.LaneChange`)."""
-        return libsumo.vehicle.getLaneChangeState(vehicle, 1 if left else -1)[0]
-
-    def must_leave(self, vehicle: str) -> bool:
-        """Whether a vehicle's lane does not take it along its route; it depends on lane and route alone."""
-        own = libsumo.vehicle.getLaneID(vehicle)
-        return any(lane == own and offset != 0 for lane, _, _, offset, *_ in libsumo.vehicle.getBestLanes(vehicle))
-
-    def speeds(self, vehicles: Sequence[str]) -> list[float]:
-        """Speed [m/s] of each vehicle, nan where it is gone."""
-        there = set(libsumo.vehicle.getIDList())
-        return [libsumo.vehicle.getSpeed(v) if v in there else math.nan for v in vehicles]
-
-    def limits(self, lanes: Sequence[str]) -> list[float]:
-        """Speed limit [m/s] of each lane as it is now."""
-        return [libsumo.lane.getMaxSpeed(lane) for lane in lanes]
-
-    def character(self, vehicle: str) -> Character:
-        """What does not change about a vehicle and its driver."""
-        api = libsumo.vehicle
-        return Character(
-            kind=api.getTypeID(vehicle),
-            length=api.getLength(vehicle),
-            width=api.getWidth(vehicle),
-            acceleration=api.getAccel(vehicle),
-            imperfection=api.getImperfection(vehicle),
-            speed_factor=api.getSpeedFactor(vehicle),
-            max_speed=api.getMaxSpeed(vehicle),
-        )
-
-    def braking(self, vehicle: str) -> float:
-        """How hard a vehicle may brake [m/s²]."""
-        return libsumo.vehicle.getDecel(vehicle)
-
-    def follow_speed(self, vehicle: str, v: float, gap: float, v_leader: float, braking: float) -> float:
-        """Speed [m/s] that a driver's car-following model allows at speed v, so far behind a leader.
-
-        `braking` [m/s²] is what the leader is able to. Krauss and IDM answer from these numbers alone, so that this may
-        be asked later, as long as the vehicle is there.
-        """
-        return libsumo.vehicle.getFollowSpeed(vehicle, v, gap, v_leader, braking)
-
-    def secure_gap(self, vehicle: str, v: float, leader: str, v_leader: float, braking: float) -> float:
-        """Gap [m] beyond its least one that a driver holds to be secure behind a leader."""
-        return libsumo.vehicle.getSecureGap(vehicle, v, v_leader, braking, leader)
-
-    def neighbour(self, vehicle: str, left: bool, ahead: bool) -> tuple[str, float]:
-        """The nearest vehicle in the next lane and the distance to it [m]; ("", inf) where there is none."""
-        found = libsumo.vehicle.getNeighbors(vehicle, (0 if left else 1) | (2 if ahead else 0))
-        return min(found, key=lambda at: at[1], default=("", math.inf))
-
-    def ignore(self, vehicles: Iterable[tuple[str, str]]) -> None:
-        """From now on, the first vehicle of each pair does not see the second as its leader."""
-        for vehicle, leader in vehicles:
-            libsumo.vehicle.setParameter(vehicle, "carFollowModel.ignoreIDs", leader)
-
-    def ignore_requests(self, vehicles: Iterable[str]) -> None:
-        """From now on, these vehicles do not slow down for others that want to change lanes."""
-        for vehicle in vehicles:
-            libsumo.vehicle.setParameter(vehicle, "laneChangeModel.lcCooperativeSpeed", "0")
-
-    def shape(self, lane: str) -> Float[np.ndarray, "P 2"]:
-        """World points of the centre of a lane."""
-        return np.array(libsumo.lane.getShape(lane), dtype=float)
-
-    def lane_length(self, lane: str) -> float:
-        """Length [m] of a lane as positions along it count; its shape may be longer or shorter."""
-        return libsumo.lane.getLength(lane)
-
-    def lanes_of(self, edges: Sequence[str]) -> list[str]:
-        """Lanes of these edges, those that lead into them and, where the net has them, those of junctions between."""
-        lanes = libsumo.lane.getIDList()
-        wanted = {lane for lane in lanes if lane.rpartition("_")[0] in edges}
-        leading = {lane: [link for link in libsumo.lane.getLinks(lane) if link[0] in wanted] for lane in lanes}
-        between = {link[4] for links in leading.values() for link in links if link[4]}
-        return sorted(wanted | between | {lane for lane, links in leading.items() if links and lane[0] != ":"})
-
-    def route(self, vehicle: str) -> tuple[str, ...]:
-        """Edges of a vehicle's route."""
-        return tuple(libsumo.vehicle.getRoute(vehicle))
-
     def take(self, vehicle: str) -> None:
         """Take a vehicle from SUMO's drivers; from now on it must be commanded in every step."""
         api = libsumo.vehicle
@@ -303,57 +197,18 @@ class Sumo:
         libsumo.vehicle.setSpeedMode(vehicle, speed_mode)
         libsumo.vehicle.setLaneChangeMode(vehicle, lane_change_mode)
 
+    def route(self, vehicle: str) -> tuple[str, ...]:
+        """Edges of a vehicle's route."""
+        return tuple(libsumo.vehicle.getRoute(vehicle))
+
     def waiting(self) -> int:
         """How many vehicles should have entered the net and could not yet."""
         return len(_real(libsumo.simulation.getPendingVehicles()))
-
-    def lane_count(self, edge: str) -> int:
-        """Number of lanes of an edge."""
-        return int(libsumo.edge.getLaneNumber(edge))
-
-    def edges(self) -> frozenset[str]:
-        """Ids of all edges and lanes of the net."""
-        return frozenset(libsumo.edge.getIDList()) | frozenset(libsumo.lane.getIDList())
-
-    def road(self, edges: Sequence[str], origin: str) -> RoadFrame:
-        """The road frame of a chain of edges: along the centre of its leftmost lane, s = 0 where `origin` begins."""
-        points: list[tuple[float, float]] = []
-        start = 0
-        for edge in edges:
-            shape = libsumo.lane.getShape(f"{edge}_{libsumo.edge.getLaneNumber(edge) - 1}")
-            if edge == origin:
-                start = max(len(points) - 1, 0) if points and _meet(points[-1], shape[0]) else len(points)
-            points += [point for k, point in enumerate(shape) if k or not points or not _meet(points[-1], point)]
-        line = np.array(points, dtype=float)
-        before = np.diff(line[: start + 1], axis=0)
-        return RoadFrame(without_straight_vertices(line), float(np.hypot(before[:, 0], before[:, 1]).sum()))
-
-    def strip(self, lane: str, road: RoadFrame) -> Strip:
-        """Where a lane lies in the road frame; it must run along the road."""
-        s, d = road.to_road(np.array(libsumo.lane.getShape(lane), dtype=float))
-        return Strip(lane, float(s[0]), float(s[-1]), float(d[-1]), libsumo.lane.getWidth(lane))
 
     def _close(self) -> None:
         if self._commanded:  # closing and restarting with a pending moveToXY crashes SUMO
             libsumo.simulationStep()
         libsumo.close()
-
-
-class _Kept(dict[str, T]):
-    """What does not change about vehicles; asked once."""
-
-    def __init__(self, ask: Callable[[str], T]) -> None:
-        super().__init__()
-        self._ask = ask
-
-    def __missing__(self, vehicle: str) -> T:
-        self[vehicle] = found = self._ask(vehicle)
-        return found
-
-
-def _meet(end: tuple[float, float], begin: tuple[float, float]) -> bool:
-    """Whether the lanes of two edges join here; net files round to centimetres, and in a bend the lanes may overlap."""
-    return math.dist(end, begin) < 0.1
 
 
 def _real(ids: Iterable[str]) -> tuple[str, ...]:

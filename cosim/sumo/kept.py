@@ -1,0 +1,18 @@
+"""What does not change while the simulation runs."""
+
+from collections.abc import Callable
+from typing import TypeVar
+
+T = TypeVar("T")
+
+
+class Kept(dict[str, T]):
+    """What does not change about vehicles; asked once."""
+
+    def __init__(self, ask: Callable[[str], T]) -> None:
+        super().__init__()
+        self._ask = ask
+
+    def __missing__(self, vehicle: str) -> T:
+        self[vehicle] = found = self._ask(vehicle)
+        return found
