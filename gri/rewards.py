@@ -12,6 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from gri.errors import InputError
 from gri.graph import EdgeType, agents_of
 from gri.network_reward import NetworkReward
 from gri.neural import edge_ends, incidence, mlp
@@ -40,11 +41,18 @@ class StructuredReward(nn.Module):
 
     @classmethod
     def with_weights(cls, config: AnyRewardConfig, weights: Mapping[str, Mapping[str, float]]) -> "StructuredReward":
-        """The reward with given weights 1 + e^ψ, each above 1."""
+        """The reward with given weights 1 + e^ψ, each above 1; those of other groups are 2.
+
+        Errors: `InputError` where a group is unknown, the names are not those of its terms, or a weight is not above 1.
+        """
         reward = cls(config)
         for group, values in weights.items():
+            if group not in reward.psi or set(values) != set(reward.names(group)):
+                wanted = {name: reward.names(name) for name in reward.psi}
+                raise InputError(f"got weights of {group}: {', '.join(values)}; wanted all terms of one of {wanted}")
             excess = torch.tensor([values[name] for name in reward.names(group)]) - 1
-            assert (excess > 0).all(), f"weights are 1 + exp(psi), so they exceed 1; got {values}"
+            if not (excess > 0).all():
+                raise InputError(f"got weights of {group}: {dict(values)}; they are 1 + e^psi, wanted all above 1")
             reward.psi[group].data = excess.log()
         return reward
 

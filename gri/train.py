@@ -112,7 +112,7 @@ def train(config: TrainConfig, splits: Splits, seed: int, progress: Progress = s
             networks = NetworkReward(scenes.scale, model.config.vocabulary)
             train_adversarial(model, ShapedReward(networks, scenes.scale), splits.train, settings, seed, progress)
         case AdversarialSettings() as settings:
-            reward = StructuredReward(in_the_game(scenes.reward))
+            reward = StructuredReward.with_weights(in_the_game(scenes.reward), settings.weights or {})
             train_adversarial(model, ShapedReward(reward, scenes.scale), splits.train, settings, seed, progress)
     return Trained(model.requires_grad_(False).eval(), reward, _provenance(config, seed, began, model, splits))
 

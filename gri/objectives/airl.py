@@ -72,6 +72,8 @@ class AdversarialSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
     """
     policy_clip: float = 10.0
     """Bound of the norm of the policy's gradient; returns under contradictory graphs are huge."""
+    weights: dict[str, dict[str, float]] | None = None
+    """With which weights 1 + e^ψ the named terms begin, group by group ("node", "follow", ...); None: 2 each."""
     start: PlannedStart | None = None
     """Moves before the game; None: all players begin at once. For named rewards and inferred relations only."""
     bottleneck: Bottleneck = Bottleneck()

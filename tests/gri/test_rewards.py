@@ -3,6 +3,7 @@ from math import exp
 import pytest
 import torch
 
+from gri.errors import InputError
 from gri.features import FollowingConstants
 from gri.graph import FOLLOWING, EdgeType, InteractionGraph, pairs
 from gri.rewards import RewardConfig, ShapedReward, StructuredReward, Units
@@ -43,8 +44,19 @@ def test_weights_exceed_one_whatever_psi():
 def test_weights_survive_the_round_trip():
     reward = StructuredReward.with_weights(CONFIG, WEIGHTS)
     torch.testing.assert_close(reward.weights("follow"), 0.5 * torch.tensor([5.0, 6.0]))
-    with pytest.raises(AssertionError, match="exceed 1"):
-        StructuredReward.with_weights(CONFIG, WEIGHTS | {"follow": {"idm": 1.0, "dist": 2.0}})
+
+
+@pytest.mark.parametrize(
+    ("weights", "message"),
+    [
+        ({"follow": {"idm": 1.0, "dist": 2.0}}, "wanted all above 1"),
+        ({"follow": {"idm": 3.0}}, "wanted all terms"),
+        ({"yield": {"idm": 3.0}}, "weights of yield"),
+    ],
+)
+def test_weights_that_no_reward_has_are_refused(weights: dict[str, dict[str, float]], message: str):
+    with pytest.raises(InputError, match=message):
+        StructuredReward.with_weights(CONFIG, WEIGHTS | weights)
 
 
 def test_type_none_pays_nothing(generator: torch.Generator):
