@@ -16,7 +16,7 @@ import torch
 from gri import checkpoint, ood
 from gri import recorded_scores as scores
 from gri.data.ngsim.drawn import MARK
-from gri.data.recorded import recorded_scenes
+from gri.data.recorded import are_drawn, recorded_scenes
 from gri.data.recorded_ranges import RecordedRange
 from gri.data.scenes_reading import Recorded
 from gri.data.store import Splits
@@ -30,7 +30,6 @@ from gri.objectives.common import ACROSS
 from gri.probes import reconstruct
 from gri.progress import Progress
 from gri.train import TrainConfig, train
-from gri.types import Trajectory
 
 FOLDS = 5
 TUNING = FineTuning(updates=60)
@@ -45,19 +44,12 @@ DEPENDS = (FOLDS, TUNING, BESIDE, BLUR, ACROSS)
 def recorded_and_drawn(path: Path, scenes: RecordedRange) -> tuple[Scenes, Recorded, Scenes, Scenes]:
     """Recorded lane changes and what the file says of them; drawn ones to train on and to validate with."""
     every, found = recorded_scenes(path, scenes, None)
-    is_drawn = np.array([str(source).endswith(MARK) for source in found.source])
+    is_drawn = are_drawn(found)
     real = torch.from_numpy(np.flatnonzero(~is_drawn))
     seen = {name for place in real.tolist() for name in names(found, place)}
     free = np.array([drawn and seen.isdisjoint(names(found, s)) for s, drawn in enumerate(is_drawn)])
     train_split, validation = (torch.from_numpy(free & (found.split == split)) for split in ("train", "validation"))
-    return every[real], only(found, real.numpy()), every[train_split], every[validation]
-
-
-def only(found: Recorded, kept: np.ndarray) -> Recorded:
-    """Some scenes."""
-    whole = found.trajectory
-    arrays = {name: getattr(found, name)[kept] for name in ("graph", "source", "split", "vehicle", "length")}
-    return Recorded(trajectory=Trajectory(whole.state[kept], whole.valid[kept], whole.dt), **arrays)
+    return every[real], found.only(real.numpy()), every[train_split], every[validation]
 
 
 def names(found: Recorded, scene: int) -> set[tuple[str, int]]:

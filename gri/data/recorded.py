@@ -3,10 +3,12 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
+from gri.data.ngsim.drawn import MARK
 from gri.data.recorded_ranges import RecordedRange
 from gri.data.scenes_reading import Recorded, joined, read, scene_counts
 from gri.data.synthetic import Scenes
@@ -29,6 +31,21 @@ def recorded_scenes(path: Path | Sequence[Path], scenes: RecordedRange, split: s
     state = _from_origin(state)
     action = dynamics.inverse(state[:, :-1, :-1], state[:, :-1, 1:], found.trajectory.dt)
     return Scenes(state, action, found.graph), found
+
+
+def are_drawn(found: Recorded) -> Bool[np.ndarray, " S"]:
+    """Which scenes have drawn motion across the road."""
+    return np.array([str(source).endswith(MARK) for source in found.source], bool)
+
+
+def for_testing(scenes: Scenes, found: Recorded) -> tuple[Scenes, Recorded]:
+    """Without the scenes that have drawn motion, which are for training. Errors: `InputError` where nothing is left."""
+    kept = np.flatnonzero(~are_drawn(found))
+    if not len(kept):
+        raise InputError(
+            f"got {len(found)} scenes, all with drawn lateral motion, which are for training; wanted recorded ones"
+        )
+    return scenes[torch.from_numpy(kept)], found.only(kept)
 
 
 def _found(path: Path, scenes: RecordedRange, split: str | None) -> list[Recorded]:

@@ -36,6 +36,12 @@ class Recorded:
     def __len__(self) -> int:
         return len(self.graph)
 
+    def only(self, kept: Int[np.ndarray, " K"]) -> "Recorded":
+        """Some scenes."""
+        whole, there = self.trajectory, {name: value for name, value in vars(self).items() if value is not None}
+        arrays = {name: value[kept] for name, value in there.items() if name != "trajectory"}
+        return Recorded(trajectory=Trajectory(whole.state[kept], whole.valid[kept], whole.dt), **arrays)
+
 
 def read(path: Path, kind: str, dynamics: Dynamics, vocabulary: Vocabulary, split: str | None = None) -> Recorded:
     """All scenes of a kind (and split), as states of the given dynamics.

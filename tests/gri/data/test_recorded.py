@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 import torch
 
-from gri.data.recorded import recorded_scenes
+from gri.data.ngsim.drawn import MARK
+from gri.data.recorded import for_testing, recorded_scenes
 from gri.data.recorded_ranges import NGSIM_CAR_FOLLOWING, SUMO_CAR_FOLLOWING, SUMO_MERGE
 from gri.data.scenes_file import Header, SceneBlock, names_of, writing
 from gri.data.store import DataConfig, scenes_of
@@ -54,6 +55,17 @@ def test_vehicles_ahead_count_as_five_metres_long(tmp_path: Path):
     assert found.unambiguous.tolist() == [True]
     as_recorded, _ = recorded_scenes(tmp_path / "a.parquet", NGSIM_CAR_FOLLOWING, None)
     assert as_recorded.state[0, :, 0, 0].tolist() == [0.0, 10.0, 20.0]
+
+
+def test_scenes_with_drawn_motion_are_never_tested_on(tmp_path: Path):
+    drawn = replace(block(), source=np.array([f"us-101{MARK}"], object), vehicle=np.array([[7, 8, 9]]))
+    both = recorded_scenes(written(tmp_path / "a.parquet", drawn, block()), SUMO_CAR_FOLLOWING, None)
+    tested, found = for_testing(*both)
+    assert (len(both[0]), len(tested), len(found)) == (2, 1, 1)
+    assert found.vehicle.tolist() == [[1, 2, 3]]
+    assert (len(found.trajectory.state), len(found.length)) == (1, 1)
+    with pytest.raises(InputError, match="all with drawn lateral motion"):
+        for_testing(*recorded_scenes(written(tmp_path / "b.parquet", drawn), SUMO_CAR_FOLLOWING, None))
 
 
 def test_the_order_at_the_start_says_who_is_ahead(tmp_path: Path):
