@@ -12,7 +12,7 @@ from rich.table import Table
 
 from gri import checkpoint, resources
 from gri.data.ngsim.extract import scene_file
-from gri.data.recorded import for_testing, recorded_scenes
+from gri.data.recorded import scenes_to_test
 from gri.data.recorded_ranges import RECORDED
 from gri.data.store import Splits, recorded_splits, scenes_of, scenes_path
 from gri.data.synthetic_file import write_synthetic
@@ -103,12 +103,9 @@ def evaluate_command(
     if scene_file is None:
         test = _scenes(config, scenes).test
     elif config.data.tested_on is not None:
-        every, read = recorded_scenes(scene_file, config.data.tested_on, split)
-        test, found = for_testing(every, read)
-        if len(test) < len(every):
-            console.print(
-                f"left out: {len(every) - len(test)} scenes with drawn lateral motion, which are for training"
-            )
+        test, found, drawn = scenes_to_test(scene_file, config.data.tested_on, split)
+        if drawn:
+            console.print(f"left out: {drawn} scenes with drawn lateral motion, which are for training")
     else:
         raise InputError(
             f"{path}: was trained on scenes of range {config.data.range}, which no scene file has; give one of recorded"

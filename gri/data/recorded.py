@@ -38,14 +38,19 @@ def are_drawn(found: Recorded) -> Bool[np.ndarray, " S"]:
     return np.array([str(source).endswith(MARK) for source in found.source], bool)
 
 
-def for_testing(scenes: Scenes, found: Recorded) -> tuple[Scenes, Recorded]:
-    """Without the scenes that have drawn motion, which are for training. Errors: `InputError` where nothing is left."""
+def scenes_to_test(path: Path, scenes: RecordedRange, split: str | None) -> tuple[Scenes, Recorded, int]:
+    """The scenes of a file without those that have drawn motion, which are for training; and how many these are.
+
+    Errors: `InputError` as in `recorded_scenes`, and where nothing is left.
+    """
+    every, found = recorded_scenes(path, scenes, split)
     kept = np.flatnonzero(~are_drawn(found))
     if not len(kept):
         raise InputError(
-            f"got {len(found)} scenes, all with drawn lateral motion, which are for training; wanted recorded ones"
+            f"{path}: got {len(found)} scenes for range {scenes.name}, all with drawn lateral motion, which are for "
+            "training; wanted recorded ones, of a file whose lateral positions change"
         )
-    return scenes[torch.from_numpy(kept)], found.only(kept)
+    return every[torch.from_numpy(kept)], found.only(kept), len(every) - len(kept)
 
 
 def _found(path: Path, scenes: RecordedRange, split: str | None) -> list[Recorded]:

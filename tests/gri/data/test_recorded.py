@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from gri.data.ngsim.drawn import MARK
-from gri.data.recorded import for_testing, recorded_scenes
+from gri.data.recorded import recorded_scenes, scenes_to_test
 from gri.data.recorded_ranges import NGSIM_CAR_FOLLOWING, SUMO_CAR_FOLLOWING, SUMO_MERGE
 from gri.data.scenes_file import Header, SceneBlock, names_of, writing
 from gri.data.store import DataConfig, scenes_of
@@ -59,13 +59,13 @@ def test_vehicles_ahead_count_as_five_metres_long(tmp_path: Path):
 
 def test_scenes_with_drawn_motion_are_never_tested_on(tmp_path: Path):
     drawn = replace(block(), source=np.array([f"us-101{MARK}"], object), vehicle=np.array([[7, 8, 9]]))
-    both = recorded_scenes(written(tmp_path / "a.parquet", drawn, block()), SUMO_CAR_FOLLOWING, None)
-    tested, found = for_testing(*both)
-    assert (len(both[0]), len(tested), len(found)) == (2, 1, 1)
+    both = written(tmp_path / "a.parquet", drawn, block())
+    tested, found, left_out = scenes_to_test(both, SUMO_CAR_FOLLOWING, None)
+    assert (len(tested), len(found), left_out) == (1, 1, 1)
     assert found.vehicle.tolist() == [[1, 2, 3]]
     assert (len(found.trajectory.state), len(found.length)) == (1, 1)
-    with pytest.raises(InputError, match="all with drawn lateral motion"):
-        for_testing(*recorded_scenes(written(tmp_path / "b.parquet", drawn), SUMO_CAR_FOLLOWING, None))
+    with pytest.raises(InputError, match=r"b\.parquet: got 1 scenes .* all with drawn lateral motion"):
+        scenes_to_test(written(tmp_path / "b.parquet", drawn), SUMO_CAR_FOLLOWING, None)
 
 
 def test_the_order_at_the_start_says_who_is_ahead(tmp_path: Path):
