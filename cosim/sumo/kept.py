@@ -1,4 +1,4 @@
-"""What does not change while the simulation runs."""
+"""Answers that are kept, as they do not change while the simulation runs."""
 
 from collections.abc import Callable
 from typing import TypeVar

@@ -57,7 +57,7 @@ class Net:
 
     def strip(self, lane: str, road: RoadFrame) -> Strip:
         """Where a lane lies in the road frame; it must run along the road."""
-        s, d = road.to_road(np.array(libsumo.lane.getShape(lane), dtype=float))
+        s, d = road.to_road(self.shape(lane))
         return Strip(lane, float(s[0]), float(s[-1]), float(d[-1]), libsumo.lane.getWidth(lane))
 
 
