@@ -49,7 +49,7 @@ def recorded_and_drawn(path: Path, scenes: RecordedRange) -> tuple[Scenes, Recor
     seen = {name for place in real.tolist() for name in names(found, place)}
     free = np.array([drawn and seen.isdisjoint(names(found, s)) for s, drawn in enumerate(is_drawn)])
     train_split, validation = (torch.from_numpy(free & (found.split == split)) for split in ("train", "validation"))
-    return every[real], found.only(real.numpy()), every[train_split], every[validation]
+    return every[real], found[real], every[train_split], every[validation]
 
 
 def names(found: Recorded, scene: int) -> set[tuple[str, int]]:

@@ -100,7 +100,7 @@ class Reel:
         scenario, self.spec = spec.scenario, spec
         self._every = round(DT / scenario.step)
         road = world.net.road(scenario.road.edges, scenario.road.origin)
-        stretch = Stretch(world, road, scenario.road.edges, scenario.road.length)
+        stretch = Stretch(world.net, road, scenario.road.edges, scenario.road.length)
         self._numbers = Numbers([flow.name for flow in scenario.traffic.flows])
         length = spec.rules.longest + 1
         self.tape = Tape(

@@ -13,7 +13,7 @@ from cosim.labels import NOBODY
 from cosim.scenes.asking import Change, now_behind, room, wishes
 from cosim.scenes.gold import speeds_unasked, speeds_unled
 from cosim.snapshot import Driving, LaneChange
-from cosim.sumo import Sumo
+from cosim.sumo import Net, Sumo
 
 READ = ("lane", "position", "v", "leader", "gap")
 LATER = ("limit", "v_next", "unled", "unasked")
@@ -81,17 +81,17 @@ class Lane:
 class Stretch:
     """The lanes of a chain of edges between s = 0 and `reach` [m]."""
 
-    def __init__(self, world: Sumo, road: RoadFrame, edges: Sequence[str], reach: float) -> None:
-        strips = {name: world.net.strip(name, road) for name in world.net.lanes_of(edges)}
+    def __init__(self, net: Net, road: RoadFrame, edges: Sequence[str], reach: float) -> None:
+        strips = {name: net.strip(name, road) for name in net.lanes_of(edges)}
         self.names = [name for name, strip in strips.items() if strip.end > 0 and strip.begin < reach]
-        self.lanes = [_lane(world, name, road) for name in self.names]
+        self.lanes = [_lane(net, name, road) for name in self.names]
         self.centres = [lane.centre for lane in self.lanes]
         self.road = road
 
 
-def _lane(world: Sumo, name: str, road: RoadFrame) -> Lane:
-    shape = world.net.shape(name)
-    return Lane(name.rpartition("_")[0], shape, world.net.length(name), float(road.to_road(shape)[1].mean()))
+def _lane(net: Net, name: str, road: RoadFrame) -> Lane:
+    shape = net.shape(name)
+    return Lane(name.rpartition("_")[0], shape, net.length(name), float(road.to_road(shape)[1].mean()))
 
 
 class Tape:

@@ -44,13 +44,13 @@ def scenes_to_test(path: Path, scenes: RecordedRange, split: str | None) -> tupl
     Errors: `InputError` as in `recorded_scenes`, and where nothing is left.
     """
     every, found = recorded_scenes(path, scenes, split)
-    kept = np.flatnonzero(~are_drawn(found))
+    kept = torch.from_numpy(np.flatnonzero(~are_drawn(found)))
     if not len(kept):
         raise InputError(
             f"{path}: got {len(found)} scenes for range {scenes.name}, all with drawn lateral motion, which are for "
             "training; wanted recorded ones, of a file whose lateral positions change"
         )
-    return every[torch.from_numpy(kept)], found.only(kept), len(every) - len(kept)
+    return every[kept], found[kept], len(every) - len(kept)
 
 
 def _found(path: Path, scenes: RecordedRange, split: str | None) -> list[Recorded]:

@@ -36,11 +36,11 @@ class Recorded:
     def __len__(self) -> int:
         return len(self.graph)
 
-    def only(self, kept: Int[np.ndarray, " K"]) -> "Recorded":
-        """Some scenes."""
-        whole, there = self.trajectory, {name: value for name, value in vars(self).items() if value is not None}
-        arrays = {name: value[kept] for name, value in there.items() if name != "trajectory"}
-        return Recorded(trajectory=Trajectory(whole.state[kept], whole.valid[kept], whole.dt), **arrays)
+    def __getitem__(self, scenes: Int[Tensor, " K"]) -> "Recorded":
+        """The selected scenes."""
+        given = {name: value for name, value in vars(self).items() if name != "trajectory" and value is not None}
+        rows = scenes.numpy()
+        return Recorded(self.trajectory[scenes], **{name: value[rows] for name, value in given.items()})
 
 
 def read(path: Path, kind: str, dynamics: Dynamics, vocabulary: Vocabulary, split: str | None = None) -> Recorded:
