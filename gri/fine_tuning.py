@@ -49,13 +49,14 @@ def fine_tune(
         case NriSettings() as settings:
             rates = {"policy_rate": slower * settings.policy_rate, "encoder_rate": slower * settings.encoder_rate}
             train_nri(model, scenes, msgspec.structs.replace(settings, updates=tuning.updates, **rates), seed, progress)
-        case RecordedSettings(grounded=settings):
+        case RecordedSettings() as recorded:
             assert reward is not None, "a grounded model comes with its reward"
+            settings = recorded.grounded
             rates = {"policy_rate": slower * settings.policy_rate, "encoder_rate": slower * settings.encoder_rate}
             settings = msgspec.structs.replace(
                 settings, updates=tuning.updates, encoder_lead=0, encoder_updates=None, **rates
             )
-            posterior = recorded_posterior(model, reward.requires_grad_(False), scenes, settings)
+            posterior = recorded_posterior(model, reward.requires_grad_(False), scenes, recorded)
             generator = torch.Generator().manual_seed(seed)
             fit_encoder_and_policy(model, reward, scenes, posterior, settings, generator, progress)
         case AdversarialSettings() as settings:

@@ -6,7 +6,8 @@
 d_j is the distance along the road to the point of collision, where the straight lines of the two vehicles meet, and
 T = d / v the time to it. Two signs are not those printed: g_spatial = ReLU((x_j − x_poc) − h)² costs nothing before the
 point of collision, and g_time = ReLU(h − (T_i − T_j))² would have whoever yields arrive first; `printed_yield` has
-them.
+them. Lines of vehicles in one lane do not meet, so that nothing would hold whoever has merged back from the vehicle that
+it yielded to: they meet where the one ahead is (`overlap`).
 
 What the networks read is less than the paper's x_i, x_j: a reference for v_j that reads v_j can equal it, and the term
 says nothing any more. So h1 is one number, h2 reads the headway and v_i, h3 the two speeds. Outputs are softplus, a
@@ -18,6 +19,8 @@ ahead and a headway that grows with it, h2 = v_i + κ·(x_i − x_j − s − T�
 headway, is not what it follows. Networks alone find a likelihood as high in which h2 is near 0 and does no more than
 hold h1 back; then it hardly matters who is followed.
 """
+
+from math import inf
 
 import msgspec
 import torch
@@ -44,6 +47,10 @@ class References(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """κ before training [1/s]."""
     correction: float = 1.0
     """What the network may add to h2, or take away from it [m/s]."""
+    catch_up: float | None = None
+    """How much faster than the vehicle ahead whoever follows wants to be to close a surplus headway, but for the
+    network [m/s]; None: any. Into the headway between two vehicles of a lane a third may have come.
+    """
     distance: float = 10.0
     """h_d before training [m]."""
     time: float = 1.0
@@ -56,6 +63,8 @@ class References(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """The same [s]."""
     collision_range: float = 100.0
     """A point of collision farther ahead is no concern [m]."""
+    overlap: float = 2.0
+    """Vehicles less far apart across the road, the width of a car, meet where the one ahead is [m]; 0: as printed."""
     slowest: float = 1.0
     """Speeds count as at least this in times to collision [m/s]."""
     printed_yield: bool = False
@@ -84,7 +93,8 @@ class ReferenceNetworks(nn.Module):
         c = self.config
         surplus = headway - c.headway - c.time_headway * sender_speed
         added = _answer(self.h2, (headway / c.length_unit).clamp(-2, 4), sender_speed / c.speed_unit).tanh()
-        wanted = sender_speed + softplus(self.kappa) * surplus + c.correction * added
+        closing = (softplus(self.kappa) * surplus).clamp(max=inf if c.catch_up is None else c.catch_up)
+        wanted = sender_speed + closing + c.correction * added
         return softplus(wanted / c.speed_unit) * c.speed_unit
 
     def headway(self, sender_speed: Value, receiver_speed: Value) -> Value:
@@ -119,20 +129,23 @@ def _answer(network: nn.Sequential, *inputs: Value) -> Value:
 
 
 def collision_point(
-    sender: Float[Tensor, "*batch 4"], receiver: Float[Tensor, "*batch 4"], farthest: float
+    sender: Float[Tensor, "*batch 4"], receiver: Float[Tensor, "*batch 4"], farthest: float, overlap: float
 ) -> tuple[Value, Float[Tensor, "*batch"]]:
     """x of the point where two vehicles [x, y, vx, vy] would meet if both went straight on; 1 if it counts, else 0.
 
-    It counts if it is ahead of both vehicles, by no more than `farthest` [m].
+    It counts if it is ahead of both vehicles, by no more than `farthest` [m]. Less than `overlap` [m] apart across the
+    road they would meet where the sender is, which counts if it is ahead of the receiver.
     """
     dx, dy = sender[..., 0] - receiver[..., 0], sender[..., 1] - receiver[..., 1]
     (vx_i, vy_i), (vx_j, vy_j) = sender[..., 2:].unbind(-1), receiver[..., 2:].unbind(-1)
     cross = vx_j * vy_i - vy_j * vx_i
     parallel = cross.abs() < 1e-3
     time = (dx * vy_i - dy * vx_i) / torch.where(parallel, torch.ones_like(cross), cross)  # of the receiver [s]
-    place = receiver[..., 0] + vx_j * time
+    in_line = dy.abs() < overlap
+    place = torch.where(in_line, sender[..., 0], receiver[..., 0] + vx_j * time)
     ahead_i, ahead_j = place - sender[..., 0], place - receiver[..., 0]
-    counts = ~parallel & (ahead_i > 0) & (ahead_j > 0) & (ahead_i < farthest) & (ahead_j < farthest)
+    ahead = (ahead_j > 0) & (in_line | ~parallel & (ahead_i > 0))
+    counts = ahead & (ahead_i < farthest) & (ahead_j < farthest)
     return torch.where(counts, place, receiver[..., 0]), counts.to(place.dtype)
 
 

@@ -44,6 +44,10 @@ class StepExpansion:
     def __getitem__(self, scenes: Tensor | slice) -> "StepExpansion":
         return StepExpansion(self.gradient[scenes], self.residual[scenes], self.moves[scenes])
 
+    def double(self) -> "StepExpansion":
+        """For the likelihood in double precision, whose recursion squares slopes."""
+        return StepExpansion(self.gradient.double(), self.residual.double(), self.moves.double())
+
     @classmethod
     def concatenate(cls, parts: list["StepExpansion"]) -> "StepExpansion":
         return cls(
@@ -123,13 +127,14 @@ def log_likelihood_by_steps(reward: StructuredReward, expansion: StepExpansion) 
     """log p(u_j | z_j) of each driven vehicle under every combination of its incoming edges.
 
     Differentiable in the weights and the rationality α that multiplies the reward. The costs of actions keep
-    Q_uu positive definite.
+    Q_uu positive definite. In the expansion's precision.
     """
     weights = reward.weights("node"), torch.cat([reward.weights(k) for k in reward.terms.edge])
     b, r, steps, features, size = expansion.gradient.shape
     senders = (features - len(weights[0])) // len(weights[1])
     alpha = reward.log_alpha.exp()
     chosen = alpha * torch.cat([weights[0], *[weights[1]] * senders]) * combinations(reward, senders)[0]
+    chosen = chosen.to(expansion.gradient.dtype)
     slopes = torch.einsum("cm,brtmp->tbrcp", chosen, expansion.gradient)
     curved = 2 * torch.einsum("cm,brtmp,brtmq->tbrcpq", chosen, expansion.residual, expansion.residual)
     d = expansion.moves.shape[3]

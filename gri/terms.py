@@ -165,13 +165,16 @@ def naturalistic_terms(config: NaturalisticConfig, h: ReferenceNetworks) -> Term
 def _yield_terms(config: NaturalisticConfig, h: ReferenceNetworks) -> dict[str, EdgeTerm]:
     c = config.references
 
+    def meeting(sender: Tensor, receiver: Tensor) -> tuple[Tensor, Tensor]:
+        return collision_point(sender[..., :4], receiver[..., :4], c.collision_range, c.overlap)
+
     def spatial(sender: Tensor, receiver: Tensor) -> Tensor:
-        point, counts = collision_point(sender[..., :4], receiver[..., :4], c.collision_range)
+        point, counts = meeting(sender, receiver)
         wanted = h.distance(sender[..., 2], receiver[..., 2])
         return g_spatial(point, counts, receiver[..., :4], wanted, c.printed_yield) / config.units.gap**2
 
     def time(sender: Tensor, receiver: Tensor) -> Tensor:
-        point, counts = collision_point(sender[..., :4], receiver[..., :4], c.collision_range)
+        point, counts = meeting(sender, receiver)
         wanted = h.time(sender[..., 2], receiver[..., 2])
         return g_time(point, counts, sender[..., :4], receiver[..., :4], wanted, c) / config.time**2
 

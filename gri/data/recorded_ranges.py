@@ -61,7 +61,7 @@ NGSIM_LANE_CHANGING = RecordedRange(
     name="ngsim_lane_changing",
     kinds=("lane_changing_h1", "lane_changing_h2"),
     steps=40,
-    reward=NaturalisticConfig(lanes=True, references=References(distance=25.0, time=1.8)),
+    reward=NaturalisticConfig(lanes=True, references=References(distance=25.0, time=1.8, catch_up=1.0)),
     scale=LANE_CHANGING_NGSIM,
     dynamics=DynamicsName.POINT_MASS_2D,
     vocabulary=YIELDING,

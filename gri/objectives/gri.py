@@ -135,7 +135,8 @@ def faded(done: float, left: float) -> float:
 def _look(
     model: RelationalModel, scenes: Scenes, settings: GroundedSettings, generator: torch.Generator
 ) -> InteractionGraph:
-    return model.infer(augment(scenes.seen, settings.augmentation, model.history_steps, generator, model.dynamics))
+    seen = augment(scenes.seen, settings.augmentation, model.history_steps, generator, model.dynamics, model.dt)
+    return model.infer(seen)
 
 
 def grounded_return(

@@ -39,6 +39,8 @@ class RecordedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
 
     Recorded traffic is mostly slow, and references that fit slow traffic take fast vehicles for unrelated ones.
     """
+    no_follow_prior: float | None = None
+    """Probability that a vehicle does not follow the one ahead of it in its lane; None: `grounded.no_edge_prior`."""
     log_alpha: float = -1.5
     """Logarithm of the drivers' rationality before training; people are less exact than 0 would have them."""
 
@@ -58,9 +60,9 @@ def train_recorded(
     judged = scenes[: grounded.graph_scenes]
     if grounded.judge == "policy":
         plan(model, reward, scenes, grounded, generator, progress)
-        posterior = posterior_by_policy(model, reward, judged, recorded_prior(reward, judged.state, grounded))
+        posterior = posterior_by_policy(model, reward, judged, recorded_prior(reward, judged.state, settings))
     else:
-        posterior = recorded_posterior(model, reward, judged, grounded, progress)
+        posterior = recorded_posterior(model, reward, judged, settings, progress)
     fit_encoder_and_policy(model, reward, scenes, posterior, grounded, generator, progress)
 
 
@@ -73,20 +75,32 @@ def fit_references(
     progress: Progress = silent,
 ) -> None:
     """Maximise Σ_j log Σ_z p(z_j)·p(u_j | z_j) over weights, α and reference networks."""
-    grounded, total = settings.grounded, settings.reward_updates
+    total = settings.reward_updates
     assert reward.references is not None, "recorded traffic wants a reward with references"
     reward.log_alpha.data.fill_(settings.log_alpha)
     to_references = Descent(reward.references.parameters(), settings.reference_rate, total, clip=1.0)
     to_weights = Descent([*reward.psi.parameters(), reward.log_alpha], settings.reward_rate, total, clip=1.0)
     for update, chosen in enumerate(_batches(model, scenes, settings, generator)):
         batch = scenes[chosen]
-        likelihood = log_likelihood_by_steps(reward, expand_steps(model, reward, batch.state, batch.action, learn=True))
-        prior = recorded_prior(reward, batch.state, grounded)
+        likelihood = _likelihood(model, reward, batch, learn=True)
+        prior = recorded_prior(reward, batch.state, settings)
         evidence = torch.logsumexp(likelihood + combination_prior(reward, prior, batch.action.shape[1]), -1).mean()
         gradients = to_references.gradients(-evidence, retain_graph=True)
         to_weights.step(-evidence)
         to_references.apply(gradients)
         progress("reward and references", update + 1, total, float(evidence.detach()))
+
+
+def _likelihood(
+    model: RelationalModel, reward: StructuredReward, scenes: Scenes, learn: bool = False
+) -> Float[Tensor, "B R C"]:
+    """log p(u_j | z_j), in double precision.
+
+    Where paths are nearly parallel, lateral speed moves the point of collision by kilometres per m/s, and single
+    precision is nats off or finds the logarithm of a negative number.
+    """
+    expansion = expand_steps(model, reward, scenes.state, scenes.action, learn)
+    return log_likelihood_by_steps(reward, expansion.double()).to(scenes.state.dtype)
 
 
 def _batches(
@@ -111,7 +125,7 @@ FEW = 20
 
 
 def recorded_prior(
-    reward: StructuredReward, state: Float[Tensor, "B N T D"], grounded: GroundedSettings
+    reward: StructuredReward, state: Float[Tensor, "B N T D"], settings: RecordedSettings
 ) -> Float[Tensor, "B E K"]:
     """p(z_ij): the sparse prior, and the paper's definition of the types (Sec. VI-D).
 
@@ -119,23 +133,31 @@ def recorded_prior(
     there that ends up ahead (`ahead_only`). Lanes are those of the first step. Which of these edges are there is not
     said; how vehicles move along the road would hardly tell what kind they are.
     """
+    grounded = settings.grounded
     prior = scene_prior(reward, state, grounded.no_edge_prior, grounded.ahead_only)
     senders, receivers = edge_ends(state.shape[1])
     lane = same_lane(reward, state)
     if grounded.ahead_only:
         next_ahead = preceding(state[:, :, -1, 0], lane)[:, senders, receivers]
-        unlikely = IMPOSSIBLE if EdgeType.YIELD in reward.vocabulary else 1e-12
+        unlikely = IMPOSSIBLE if EdgeType.YIELD in reward.vocabulary else UNLIKELY
         prior[..., 1:] = prior[..., 1:].masked_fill(~next_ahead[..., None], unlikely)
     if EdgeType.YIELD in reward.vocabulary:
         together = lane[:, senders, receivers]
         for kind, excluded in ((EdgeType.FOLLOW, ~together), (EdgeType.YIELD, together)):
             k = reward.vocabulary.index(kind)
             prior[..., k] = prior[..., k].masked_fill(excluded, IMPOSSIBLE)
+    if settings.no_follow_prior is not None:
+        none, follow = (reward.vocabulary.index(kind) for kind in (EdgeType.NONE, EdgeType.FOLLOW))
+        possible = prior[..., follow] > 2 * UNLIKELY
+        alone = prior[..., follow] * settings.no_follow_prior / (1 - settings.no_follow_prior)
+        prior[..., none] = torch.where(possible, alone, prior[..., none])
     return prior / prior.sum(-1, keepdim=True)
 
 
 IMPOSSIBLE = 1e-37
 """Probability of what a type excludes by definition: no likelihood makes up for it, and its logarithm is finite."""
+UNLIKELY = 1e-12
+"""Probability of what a likelihood may still speak for."""
 
 
 def same_lane(reward: StructuredReward, state: Float[Tensor, "B N T D"]) -> Bool[Tensor, "B N N"]:
@@ -162,7 +184,7 @@ def recorded_posterior(
     model: RelationalModel,
     reward: StructuredReward,
     scenes: Scenes,
-    grounded: GroundedSettings,
+    settings: RecordedSettings,
     progress: Progress = silent,
     chunk: int = 256,
 ) -> Float[Tensor, "S E K"]:
@@ -170,7 +192,7 @@ def recorded_posterior(
     parts = []
     for start in range(0, len(scenes), chunk):
         part = scenes[start : start + chunk]
-        likelihood = log_likelihood_by_steps(reward, expand_steps(model, reward, part.state, part.action))
-        parts.append(marginals(reward, likelihood, recorded_prior(reward, part.state, grounded)))
+        likelihood = _likelihood(model, reward, part)
+        parts.append(marginals(reward, likelihood, recorded_prior(reward, part.state, settings)))
         progress("graph", min(start + chunk, len(scenes)), len(scenes), 0.0)
     return torch.cat(parts)

@@ -40,13 +40,21 @@ def test_who_follows_wants_to_close_a_surplus_and_the_network_corrects_it_by_lit
             assert float(h.speed(torch.tensor(20.0), torch.tensor(10.0))) == pytest.approx(expected, rel=1e-4)
 
 
+def test_a_surplus_headway_pulls_by_no_more_than_it_may():
+    # 40 m behind a vehicle at 10 m/s: 40 − 6 − 0.8·10 = 26 m too many, 5.2 m/s faster, of which 1 is allowed; 7 m too few.
+    h = ReferenceNetworks(References(headway=6.0, time_headway=0.8, closing=0.2, correction=0.0, catch_up=1.0))
+    for headway, wanted in ((40.0, 11.0), (7.0, 8.6)):
+        expected = 5 * math.log1p(math.exp(wanted / 5))
+        assert h.speed(torch.tensor(headway), torch.tensor(10.0)).item() == pytest.approx(expected, rel=1e-4)
+
+
 def test_collision_point_of_two_crossing_lines():
     # j goes along y = 0 at 10 m/s; i comes from 30 m ahead and 4 m to the left, 1 m/s to the right at 5 m/s ahead:
     # it meets y = 0 after 4 s at x = 50.
-    point, counts = collision_point(vehicle(30, 4, 5, -1), vehicle(0, 0, 10, 0), farthest=100.0)
+    point, counts = collision_point(vehicle(30, 4, 5, -1), vehicle(0, 0, 10, 0), farthest=100.0, overlap=2.0)
     assert point.tolist() == pytest.approx([50.0])
     assert counts.tolist() == [1.0]
-    swapped, _ = collision_point(vehicle(0, 0, 10, 0), vehicle(30, 4, 5, -1), farthest=100.0)
+    swapped, _ = collision_point(vehicle(0, 0, 10, 0), vehicle(30, 4, 5, -1), farthest=100.0, overlap=2.0)
     assert swapped.tolist() == pytest.approx([50.0])
 
 
@@ -59,14 +67,40 @@ def test_collision_point_of_two_crossing_lines():
     ],
 )
 def test_points_out_of_range_do_not_count(sender: tuple, farthest: float):
-    point, counts = collision_point(vehicle(*sender), vehicle(0, 0, 10, 0), farthest)
+    point, counts = collision_point(vehicle(*sender), vehicle(0, 0, 10, 0), farthest, overlap=2.0)
     assert counts.tolist() == [0.0]
     assert torch.isfinite(point).all()
 
 
+@pytest.mark.parametrize(
+    ("sender", "place"),
+    [
+        ((30, 1.5, 5, 0), 30.0),  # where the one ahead is
+        ((30, -1.5, 5, 1), 30.0),  # lines that meet elsewhere do not matter
+        ((-30, 1.5, 5, 0), None),  # whoever is ahead has nobody to keep away from
+        ((120, 1.5, 5, 0), None),  # farther than counts
+        ((30, 2.5, 5, 0), None),  # in the lane beside
+    ],
+)
+def test_vehicles_of_one_lane_meet_where_the_one_ahead_is(sender: tuple, place: float | None):
+    point, counts = collision_point(vehicle(*sender), vehicle(0, 0, 10, 0), farthest=100.0, overlap=2.0)
+    assert counts.tolist() == [float(place is not None)]
+    assert point.tolist() == [place or 0.0]
+    assert collision_point(vehicle(30, 1.5, 5, 0), vehicle(0, 0, 10, 0), 100.0, overlap=0.0)[1].tolist() == [0.0]
+
+
+def test_whoever_has_merged_keeps_the_headway_that_yielding_asks_for():
+    # 12 m behind a vehicle at 10 m/s, 1.2 s: yielding to it wants 20 m and 2 s.
+    sender, receiver = vehicle(12, 0.5, 10, 0), vehicle(0, 0, 10, 0)
+    point, counts = collision_point(sender, receiver, 100.0, overlap=2.0)
+    assert g_spatial(point, counts, receiver, torch.tensor([20.0]), printed=False).tolist() == pytest.approx([64.0])
+    later = g_time(point, counts, sender, receiver, torch.tensor([2.0]), References())
+    assert later.tolist() == pytest.approx([0.64])
+
+
 def test_yielding_asks_for_distance_and_for_arriving_later():
     sender, receiver = vehicle(30, 4, 5, -1), vehicle(0, 0, 10, 0)
-    point, counts = collision_point(sender, receiver, 100.0)
+    point, counts = collision_point(sender, receiver, 100.0, overlap=2.0)
     wanted = torch.tensor([60.0])
     assert g_spatial(point, counts, receiver, wanted, printed=False).tolist() == pytest.approx([100.0])  # 60 - 50 m
     assert g_spatial(point, counts, receiver, wanted, printed=True).tolist() == [0.0]

@@ -1,12 +1,14 @@
+import msgspec
 import pytest
 import torch
 
 from gri.data.recorded_ranges import NGSIM_CAR_FOLLOWING, NGSIM_LANE_CHANGING
 from gri.data.synthetic import Scenes, model_config
 from gri.decoder import DecoderConfig
-from gri.dynamics import POINT_MASS_1D
+from gri.dynamics import POINT_MASS_1D, POINT_MASS_2D
 from gri.encoder import EncoderConfig
 from gri.graph import EdgeType, InteractionGraph, pairs
+from gri.laplace import marginals
 from gri.model import RelationalModel
 from gri.naturalistic import References
 from gri.objectives import recorded
@@ -53,6 +55,28 @@ def test_references_learn_from_the_likelihood():
     slopes = torch.autograd.grad(value.mean(), list(reward.references.parameters()))
     assert all(torch.isfinite(slope).all() for slope in slopes)
     assert all(slope.abs().sum() > 0 for slope in slopes)
+
+
+def test_the_likelihood_is_not_a_matter_of_rounding():
+    # In this random walk paths are so nearly parallel that single precision is 3.5 nats off.
+    generator = torch.Generator().manual_seed(4)
+    action = torch.randn(64, 3, 29, 2, generator=generator) * torch.tensor([0.5, 0.2])
+    start = [[0.0, -3.6, 2.0, 0, 0, 0], [-8.0, 0, 2.0, 0, 0, 0], [8.0, 0, 2.0, 0, 0, 0]]
+    states = [torch.tensor(start).expand(64, -1, -1)]
+    for t in range(29):
+        states.append(POINT_MASS_2D.step(states[-1], action[:, :, t], 0.2))
+    walks = Scenes(torch.stack(states, 2), action[:, :2], torch.zeros(64, 6, dtype=torch.long))[41:42]
+    lent = RelationalModel(model_config(NGSIM_LANE_CHANGING, DecoderConfig(kind="recurrent", hidden=8), None))
+    torch.manual_seed(0)
+    reward = StructuredReward(NGSIM_LANE_CHANGING.reward)
+    reward.log_alpha.data.fill_(-3.0)
+    expansion = expand_steps(lent, reward, walks.state, walks.action)
+    single, exact = (log_likelihood_by_steps(reward, e) for e in (expansion, expansion.double()))
+    assert (single - exact).abs().max().item() > 1
+    settings = RecordedSettings(grounded=GroundedSettings(no_edge_prior=0.2, ahead_only=True, likelihood="stepwise"))
+    posterior = recorded.recorded_posterior(lent, reward, walks, settings)
+    prior = recorded.recorded_prior(reward, walks.state, settings)
+    torch.testing.assert_close(posterior, marginals(reward, exact.float(), prior), rtol=0, atol=1e-3)
 
 
 def test_the_likelihood_rises():
@@ -121,7 +145,8 @@ def test_lanes_define_who_follows_and_who_yields():
     state[0, :, 0, :2] = torch.tensor([[10.0, -3.6], [0.0, 0.0], [30.0, 0.3]])
     state[0, :, 1, :2] = torch.tensor([[50.0, 0.0], [40.0, 0.0], [70.0, 0.0]])
     reward = StructuredReward(NGSIM_LANE_CHANGING.reward)
-    prior = recorded.recorded_prior(reward, state, GroundedSettings(no_edge_prior=0.8, ahead_only=True))[0]
+    settings = RecordedSettings(grounded=GroundedSettings(no_edge_prior=0.8, ahead_only=True))
+    prior = recorded.recorded_prior(reward, state, settings)[0]
     possible = {
         pair: {str(k) for k, p in zip(reward.vocabulary, row.tolist(), strict=True) if p > 1e-6}
         for pair, row in zip(pairs(3), prior, strict=True)
@@ -132,12 +157,18 @@ def test_lanes_define_who_follows_and_who_yields():
     }  # fmt: skip
     torch.testing.assert_close(prior.sum(-1), torch.ones(6))
     assert float(prior[pairs(3).index((2, 0)), 0]) == pytest.approx(0.8 / 0.9)
+    settings = msgspec.structs.replace(settings, no_follow_prior=0.02)
+    following = recorded.recorded_prior(reward, state, settings)[0]
+    changed = (following != prior).any(-1)
+    assert [pair for pair, is_changed in zip(pairs(3), changed, strict=True) if is_changed] == [(2, 1)]
+    assert following[changed][0, :2].tolist() == pytest.approx([0.02, 0.98])
 
 
 def test_in_car_following_only_the_next_vehicle_ahead_is_followed():
     reward, data = StructuredReward(NGSIM_CAR_FOLLOWING.reward), scenes(2)
-    prior = recorded.recorded_prior(reward, data.state, GroundedSettings())
+    prior = recorded.recorded_prior(reward, data.state, RecordedSettings(grounded=GroundedSettings()))
     torch.testing.assert_close(prior, torch.tensor([0.9, 0.1]).expand(2, 6, 2))
-    nearest = recorded.recorded_prior(reward, data.state, GroundedSettings(ahead_only=True))
+    ahead = RecordedSettings(grounded=GroundedSettings(ahead_only=True))
+    nearest = recorded.recorded_prior(reward, data.state, ahead)
     follows = [0.1 if pair in ((1, 0), (2, 1)) else 0.0 for pair in pairs(3)]  # of three in a row, not 2 -> 0
     torch.testing.assert_close(nearest[..., 1], torch.tensor(follows).expand(2, 6), atol=1e-6, rtol=0)
