@@ -6,8 +6,8 @@
 d_j is the distance along the road to the point of collision, where the straight lines of the two vehicles meet, and
 T = d / v the time to it. Two signs are not those printed: g_spatial = ReLU((x_j − x_poc) − h)² costs nothing before the
 point of collision, and g_time = ReLU(h − (T_i − T_j))² would have whoever yields arrive first; `printed_yield` has
-them. Lines of vehicles in one lane do not meet, so that nothing would hold whoever has merged back from the vehicle that
-it yielded to: they meet where the one ahead is (`overlap`).
+them. Lines of vehicles in one lane do not meet, so that nothing would hold whoever has merged back from the vehicle
+that it yielded to: they meet where the one ahead is (`overlap`).
 
 What the networks read is less than the paper's x_i, x_j: a reference for v_j that reads v_j can equal it, and the term
 says nothing any more. So h1 is one number, h2 reads the headway and v_i, h3 the two speeds. Outputs are softplus, a

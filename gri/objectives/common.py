@@ -11,10 +11,16 @@ from torch import Tensor, nn
 from gri.dynamics import Dynamics, DynamicsName
 
 
-def batches(scenes: int, size: int, updates: int, generator: torch.Generator) -> Iterator[Tensor]:
-    """Indices of one random batch per update."""
+def batches(
+    scenes: int, size: int, updates: int, generator: torch.Generator, weight: Float[Tensor, " S"] | None = None
+) -> Iterator[Tensor]:
+    """Indices of one random batch per update; scenes are drawn as often as they weigh."""
+    size = min(size, scenes)
     for _ in range(updates):
-        yield torch.randint(0, scenes, (min(size, scenes),), generator=generator)
+        if weight is None:
+            yield torch.randint(0, scenes, (size,), generator=generator)
+        else:
+            yield torch.multinomial(weight, size, replacement=True, generator=generator)
 
 
 def reconstruction_loss(

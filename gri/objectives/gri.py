@@ -72,18 +72,24 @@ def fit_encoder_and_policy(
     settings: GroundedSettings,
     generator: torch.Generator,
     progress: Progress = silent,
+    weight: Float[Tensor, " S"] | None = None,
 ) -> None:
-    """One update of each per batch; neither sees the other's gradient. The posterior is that of the first scenes."""
+    """One update of each per batch; neither sees the other's gradient. The posterior is that of the first scenes.
+
+    `weight`: how often the encoder draws each of these while it moves alone.
+    """
     assert model.encoder is not None, "grounded training infers graphs; give the model an encoder"
     optima = None
     if settings.optima is not None:
         begun = begun_elsewhere(model, scenes, settings, settings.optima.scenes, generator)
         optima = optimal_scenes(model, reward, *begun, settings.optima, progress)
     beside = settings.updates if settings.encoder_updates is None else settings.encoder_updates
-    to_encoder = Descent(model.encoder.parameters(), settings.encoder_rate, settings.encoder_lead + beside)
-    for chosen in batches(len(posterior), settings.batch, settings.encoder_lead, generator):
-        shown = _look(model, scenes[chosen], settings, generator)
-        to_encoder.step(_cross_entropy(posterior[chosen], shown))
+    lead = settings.encoder_lead
+    to_encoder = Descent(model.encoder.parameters(), settings.encoder_rate, lead + beside)
+    for update, chosen in enumerate(batches(len(posterior), settings.batch, lead, generator, weight)):
+        error = _cross_entropy(posterior[chosen], _look(model, scenes[chosen], settings, generator))
+        to_encoder.step(error)
+        progress("encoder", update + 1, lead, float(error.detach()))
     to_policy = Descent(model.decoder.parameters(), settings.policy_rate, settings.updates)
     reproduced = len(posterior) if settings.reconstruction == "judged" else len(scenes)
     for update, chosen in enumerate(batches(reproduced, settings.batch, settings.updates, generator)):

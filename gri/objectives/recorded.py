@@ -4,8 +4,6 @@ The references h of the reward are fitted with its weights: the likelihood of th
 graphs, is expanded anew at every update. Graph and policy are then learned as from any other reward.
 """
 
-from collections.abc import Iterator
-
 import msgspec
 import torch
 from jaxtyping import Bool, Float
@@ -35,7 +33,8 @@ class RecordedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     reference_rate: float = 3e-3
     reward_batch: int = 24
     speed_bin: float | None = None
-    """Draw the reward's scenes evenly over ranges of mean speed so wide [m/s]; None: as they come.
+    """Draw scenes evenly over ranges of mean speed so wide [m/s] for the reward, and for the encoder while it moves
+    alone; None: as they come.
 
     Recorded traffic is mostly slow, and references that fit slow traffic take fast vehicles for unrelated ones.
     """
@@ -63,7 +62,8 @@ def train_recorded(
         posterior = posterior_by_policy(model, reward, judged, recorded_prior(reward, judged.state, settings))
     else:
         posterior = recorded_posterior(model, reward, judged, settings, progress)
-    fit_encoder_and_policy(model, reward, scenes, posterior, grounded, generator, progress)
+    weight = _weights(model, judged, settings)
+    fit_encoder_and_policy(model, reward, scenes, posterior, grounded, generator, progress, weight)
 
 
 def fit_references(
@@ -80,7 +80,8 @@ def fit_references(
     reward.log_alpha.data.fill_(settings.log_alpha)
     to_references = Descent(reward.references.parameters(), settings.reference_rate, total, clip=1.0)
     to_weights = Descent([*reward.psi.parameters(), reward.log_alpha], settings.reward_rate, total, clip=1.0)
-    for update, chosen in enumerate(_batches(model, scenes, settings, generator)):
+    drawn = batches(len(scenes), settings.reward_batch, total, generator, _weights(model, scenes, settings))
+    for update, chosen in enumerate(drawn):
         batch = scenes[chosen]
         likelihood = _likelihood(model, reward, batch, learn=True)
         prior = recorded_prior(reward, batch.state, settings)
@@ -103,15 +104,11 @@ def _likelihood(
     return log_likelihood_by_steps(reward, expansion.double()).to(scenes.state.dtype)
 
 
-def _batches(
-    model: RelationalModel, scenes: Scenes, settings: RecordedSettings, generator: torch.Generator
-) -> Iterator[Tensor]:
-    """Indices of one random batch per update of the reward."""
+def _weights(model: RelationalModel, scenes: Scenes, settings: RecordedSettings) -> Float[Tensor, " S"] | None:
+    """How often scenes are drawn for the reward and for an encoder that moves alone."""
     if settings.speed_bin is None:
-        return batches(len(scenes), settings.reward_batch, settings.reward_updates, generator)
-    weight = even_weights(scenes.state[:, :-1, :, model.dynamics.speed].mean((1, 2)), settings.speed_bin)
-    drawn = torch.multinomial(weight, settings.reward_batch * settings.reward_updates, True, generator=generator)
-    return iter(drawn.split(settings.reward_batch))
+        return None
+    return even_weights(scenes.state[:, :-1, :, model.dynamics.speed].mean((1, 2)), settings.speed_bin)
 
 
 def even_weights(speed: Float[Tensor, " S"], width: float) -> Float[Tensor, " S"]:

@@ -108,11 +108,13 @@ def augment(
         state = state[:, :, first : first + history_steps]
     v = dynamics.speed
     position, speed = state[..., 0], state[..., v]
-    headway = (position[:, 1:] - position[:, :-1]).mean(-1)  # Shape: (B, N−1), of the row from back to front
+    row = position.mean(-1).argsort(-1)  # Shape: (B, N), from back to front
+    headway = position.take_along_dim(row[..., None], 1).diff(dim=1).mean(-1)
     low, high = augmentation.stretch
     factor = low + (high - low) * torch.rand(headway.shape, generator=generator)
     back = ((factor - 1) * headway).flip(1).cumsum(1).flip(1)  # how far each vehicle but the first falls back
-    position = position - torch.nn.functional.pad(back, (0, 1))[..., None]
+    back = torch.nn.functional.pad(back, (0, 1)).gather(1, row.argsort(-1))
+    position = position - back[..., None]
     position = position + augmentation.position_noise * torch.randn(position.shape, generator=generator)
     speed = speed + augmentation.speed_noise * torch.randn(speed.shape, generator=generator)
     if augmentation.faster:

@@ -41,7 +41,8 @@ def test_who_follows_wants_to_close_a_surplus_and_the_network_corrects_it_by_lit
 
 
 def test_a_surplus_headway_pulls_by_no_more_than_it_may():
-    # 40 m behind a vehicle at 10 m/s: 40 − 6 − 0.8·10 = 26 m too many, 5.2 m/s faster, of which 1 is allowed; 7 m too few.
+    # 40 m behind a vehicle at 10 m/s: 40 − 6 − 0.8·10 = 26 m too many, 5.2 m/s faster, of which 1 is allowed.
+    # 7 m behind it: 7 m too few, 1.4 m/s slower.
     h = ReferenceNetworks(References(headway=6.0, time_headway=0.8, closing=0.2, correction=0.0, catch_up=1.0))
     for headway, wanted in ((40.0, 11.0), (7.0, 8.6)):
         expected = 5 * math.log1p(math.exp(wanted / 5))
