@@ -58,15 +58,20 @@ def read_train_config(path: Path | str) -> TrainConfig:
     for field in ("train", "validation", "test"):
         if getattr(config.data, field) < 1:
             raise InputError(f"{path}: field data.{field}: got {getattr(config.data, field)}, wanted 1 or more scenes")
-    game = config.objective
-    if (
-        isinstance(game, AdversarialSettings)
-        and game.start
-        and (game.rewards, game.relations) != ("semantic", "inferred")
-    ):
-        got = f"rewards: {game.rewards} and relations: {game.relations}"
-        raise InputError(f"{path}: field objective.start: got {got}, wanted semantic and inferred ones; leave it out")
+    if isinstance(config.objective, AdversarialSettings):
+        _check_game(path, config.objective)
     return config
+
+
+def _check_game(path: Path | str, game: AdversarialSettings) -> None:
+    """Errors: `InputError` for settings that the other settings leave without an effect."""
+    for field, wanted, kept in (
+        ("start", "semantic and inferred ones", (game.rewards, game.relations) == ("semantic", "inferred")),
+        ("weights", "semantic ones, whose terms have names", game.rewards == "semantic"),
+    ):
+        if getattr(game, field) and not kept:
+            got = f"rewards: {game.rewards} and relations: {game.relations}"
+            raise InputError(f"{path}: field objective.{field}: got {got}, wanted {wanted}; leave it out")
 
 
 def model_config(config: TrainConfig) -> ModelConfig:

@@ -67,12 +67,12 @@ def test_the_penalty_is_on_differences_of_logits():
     assert float(spread(logits + 7)) == float(spread(logits))
 
 
-def test_a_start_that_cannot_be_planned_is_refused(tmp_path: Path):
+@pytest.mark.parametrize(("field", "value"), [("start", "{}"), ("weights", "{node: {speed: 1.5}}")])
+def test_what_rewards_without_named_terms_have_no_use_for_is_refused(tmp_path: Path, field: str, value: str):
     path = tmp_path / "own.yaml"
-    path.write_text(
-        "name: own\ndata: {range: paper, graphs: one}\nobjective: {type: airl, start: {}, rewards: networks}\n"
-    )
-    with pytest.raises(InputError, match=r"own.yaml: field objective.start: got rewards: networks"):
+    objective = f"{{type: airl, {field}: {value}, rewards: networks}}"
+    path.write_text(f"name: own\ndata: {{range: paper, graphs: one}}\nobjective: {objective}\n")
+    with pytest.raises(InputError, match=rf"own.yaml: field objective.{field}: got rewards: networks"):
         read_train_config(path)
 
 

@@ -5,7 +5,22 @@ import torch
 from torch import nn
 
 from gri.dynamics import POINT_MASS_1D, POINT_MASS_2D
-from gri.objectives.common import ACROSS, LEFT_OUT, Descent, action_error, categorical_kl, reconstruction_loss
+from gri.objectives.common import (
+    ACROSS,
+    LEFT_OUT,
+    Descent,
+    action_error,
+    batches,
+    categorical_kl,
+    reconstruction_loss,
+)
+
+
+def test_scenes_are_drawn_as_often_as_they_weigh():
+    weight = torch.tensor([0.0, 1.0, 3.0])
+    drawn = torch.cat(list(batches(3, 3, 1000, torch.Generator().manual_seed(0), weight)))
+    assert drawn.shape == (3000,)
+    assert (drawn.bincount(minlength=3) / 3000).tolist() == pytest.approx([0.0, 0.25, 0.75], abs=0.03)
 
 
 def test_kl_by_hand():
