@@ -28,8 +28,8 @@ of a test window was seen in any training. "Drawn only" is the model before it s
 Mean over windows and seeds ± half of the 95 % interval, for which windows that share vehicles count as one
 [least seed, greatest seed]. Paper: mean ± standard deviation, on scenes of its own choice. Accuracy is agreement with
 the hypothesis over all six edges, each window under its reading of it, H1 or H2 (docs/ngsim.md); the
-empty graph has 66.7 % under H1 and 50 % under H2, and the prior allows GRI no edges but those of the hypothesis, for
-which it gives odds of two to one. RMSE_v is that of the speed along the road.
+empty graph has 66.7 % under H1 and 50 % under H2, and the prior allows GRI no edges but those of the hypothesis, with
+odds of 49 to one for following and of two to one for yielding. RMSE_v is that of the speed along the road.
 """
 OOD_NOTES = """\
 Success rate, and in brackets collision rate, [%] against δ, the share by which the headway is shrunk. Left are vehicle
