@@ -4,6 +4,8 @@ The references h of the reward are fitted with its weights: the likelihood of th
 graphs, is expanded anew at every update. Graph and policy are then learned as from any other reward.
 """
 
+from typing import Annotated
+
 import msgspec
 import torch
 from jaxtyping import Bool, Float
@@ -38,7 +40,7 @@ class RecordedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
 
     Recorded traffic is mostly slow, and references that fit slow traffic take fast vehicles for unrelated ones.
     """
-    no_follow_prior: float | None = None
+    no_follow_prior: Annotated[float, msgspec.Meta(gt=0, lt=1)] | None = None
     """Probability that a vehicle does not follow the one ahead of it in its lane; None: `grounded.no_edge_prior`."""
     log_alpha: float = -1.5
     """Logarithm of the drivers' rationality before training; people are less exact than 0 would have them."""

@@ -1,3 +1,5 @@
+from pathlib import Path
+
 import msgspec
 import pytest
 import torch
@@ -7,6 +9,7 @@ from gri.data.synthetic import Scenes, model_config
 from gri.decoder import DecoderConfig
 from gri.dynamics import POINT_MASS_1D, POINT_MASS_2D
 from gri.encoder import EncoderConfig
+from gri.errors import InputError
 from gri.graph import EdgeType, InteractionGraph, pairs
 from gri.laplace import marginals
 from gri.model import RelationalModel
@@ -16,6 +19,7 @@ from gri.objectives.grounded import GroundedSettings
 from gri.objectives.recorded import RecordedSettings, fit_references, train_recorded
 from gri.rewards import NaturalisticConfig, StructuredReward
 from gri.riccati import expand_steps, log_likelihood_by_steps
+from gri.train import read_train_config
 
 SMALL = RecordedSettings(
     grounded=GroundedSettings(updates=2, planner_updates=1, planner_batch=4, batch=4, return_batch=4, judge="policy"),
@@ -162,6 +166,14 @@ def test_lanes_define_who_follows_and_who_yields():
     changed = (following != prior).any(-1)
     assert [pair for pair, is_changed in zip(pairs(3), changed, strict=True) if is_changed] == [(2, 1)]
     assert following[changed][0, :2].tolist() == pytest.approx([0.02, 0.98])
+
+
+def test_a_prior_is_a_probability(tmp_path: Path):
+    path = tmp_path / "own.yaml"
+    objective = "{type: gri_recorded, grounded: {type: gri}, no_follow_prior: 1.0}"
+    path.write_text(f"name: own\ndata: {{range: ngsim_lane_changing, graphs: mixed}}\nobjective: {objective}\n")
+    with pytest.raises(InputError, match=r"own.yaml:3: field objective.no_follow_prior: expected `float` < 1.0"):
+        read_train_config(path)
 
 
 def test_in_car_following_only_the_next_vehicle_ahead_is_followed():
