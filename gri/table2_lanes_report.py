@@ -21,9 +21,9 @@ from gri.table2_text import PAPERS, Results, by_row, files_of, lines, printed_ce
 
 NOTES = """\
 How it was trained: on scenes whose motion along the road is recorded and whose motion across it is drawn, with lateral
-starts blurred by {blur[0]} m/s and {blur[1]} m/s²; then, {folds} times, for {updates} updates on the recorded lane
-changes of all folds but one, beside {beside} times as many drawn ones. Tested is the fold that was left out: no vehicle
-of a test window was seen in any training. "Drawn only" is the model before it saw any recorded lane change.
+starts blurred by {blur[0]} m/s and {blur[1]} m/s²; no vehicle of a recorded lane change is in them. "Fine-tuned" is
+that model after, {folds} times, {updates} more updates on the recorded lane changes of all folds but one, beside {beside}
+times as many drawn ones, tested on the fold that was left out.
 
 Mean over windows and seeds ± half of the 95 % interval, for which windows that share vehicles count as one
 [least seed, greatest seed]. Paper: mean ± standard deviation, on scenes of its own choice. Accuracy is agreement with
@@ -36,6 +36,7 @@ Success rate, and in brackets collision rate, [%] against δ, the share by which
 0 and the one it yields to, 1 in H1 and 2 in H2, which drives as recorded; only the edge over which 0 yields is left.
 ± is half of the 95 % interval over the windows of one seed.
 """
+STAGES = ("drawn only", "fine-tuned")
 READINGS: dict[str, tuple[Edge, ...]] = {"H1": MERGE_BEHIND, "H2": MERGE_BETWEEN}
 
 
@@ -50,6 +51,15 @@ def text(results: Results, path: Path) -> str:
     return "\n".join(parts) + "\n"
 
 
+def _at(stage: str, result: dict[str, Any]) -> dict[str, Any]:
+    """What was measured of a model at a stage of its training."""
+    return result["before"] if stage == "drawn only" else result
+
+
+def _label(row: Row, stage: str) -> str:
+    return row.name if stage == "drawn only" else f"{row.name}, {stage}"
+
+
 def _cell(seeds: Sequence[dict[str, Any]], values: Sequence[list[float]], factor: float, digits: int) -> str:
     means = [factor * fmean(v) for v in values]
     width = fmean(factor * clustered(torch.tensor(v), s["cluster"]) for v, s in zip(values, seeds, strict=True))
@@ -62,8 +72,8 @@ def _table(results: Results) -> str:
     body = []
     for row, seeds in by_row(results):
         paper = printed()["ngsim_lane_changing"].get(PAPERS.get(row.name, ""))
-        for name, found in ((row.name, seeds), (f"{row.name}, drawn only", [seed["before"] for seed in seeds])):
-            cells = [name]
+        for stage in STAGES:
+            found, cells = [_at(stage, seed) for seed in seeds], [_label(row, stage)]
             for feature in ("x", "y", "v"):
                 values = [one["errors"][f"rmse_{feature}"] for one in found]
                 cells += [_cell(seeds, values, 1.0, 2), printed_cell(getattr(paper, feature, None), 2)]
@@ -85,12 +95,13 @@ def _rates(seeds: Sequence[dict[str, Any]], place: int, key: str) -> tuple[float
 
 def _curves(results: Results) -> str:
     body = []
-    for row, seeds in by_row(results):
-        cells = []
-        for place in range(len(RATIOS)):
-            (mean, scenes), (contacts, _) = (_rates(seeds, place, key) for key in ("hits", "contacts"))
-            cells.append(f"{100 * mean:.0f} ± {100 * pooled(mean, scenes).half_width:.0f} ({100 * contacts:.0f})")
-        body.append([row.name, *cells])
+    for stage in STAGES:
+        for row, seeds in by_row(results):
+            found, cells = [_at(stage, seed) for seed in seeds], [_label(row, stage)]
+            for place in range(len(RATIOS)):
+                (mean, scenes), (contacts, _) = (_rates(found, place, key) for key in ("hits", "contacts"))
+                cells.append(f"{100 * mean:.0f} ± {100 * pooled(mean, scenes).half_width:.0f} ({100 * contacts:.0f})")
+            body.append(cells)
     return lines(["model", *[f"δ {ratio:g}" for ratio in RATIOS]], body)
 
 
@@ -99,18 +110,19 @@ def tables(results: Results, out: Path) -> list[Path]:
     scores, curves = [], []
     for job, result in results:
         names = {"row": job.row.name, "seed": job.seed}
-        for stage, found in (("fine-tuned", result), ("drawn only", result["before"])):
+        for stage in STAGES:
+            found = _at(stage, result)
             values = {**found["errors"], **(found["graphs"] or {})}
             for metric, each in values.items():
                 value, width = summary(torch.tensor(each)), clustered(torch.tensor(each), result["cluster"])
                 scores.append(names | {"stage": stage, "metric": metric, "mean": value.mean, "std": value.std,
                                        "half_width": width, "windows": value.scenes})  # fmt: skip
-        curves += [names | point for point in result["ood"]]
+            curves += [names | {"stage": stage} | point for point in found["ood"]]
     return write_tables(scores, curves, out)
 
 
 def figures(results: Results, out: Path) -> list[Path]:
-    """F6 by reading, where a row infers graphs, and F11."""
+    """F6 by reading, where a row infers graphs, and F11; of the models before they are fine-tuned."""
     drawn = {"f6_edge_frequencies_ngsim_lanes": _frequencies, "f11_success_ngsim_lanes": _success}
     return write_figures(drawn, results, out)
 
@@ -124,7 +136,11 @@ def _frequencies(results: Results) -> Figure:
     for axis_column, (row, seeds, reading) in zip(axes.T, columns, strict=True):
         true = np.array(seeds[0]["hypothesis"]) == list(READINGS).index(reading)
         matrices = np.mean(
-            [edge_frequency(torch.tensor(seed["inferred"])[true], len(kinds)).numpy() for seed in seeds], 0
+            [
+                edge_frequency(torch.tensor(_at(STAGES[0], seed)["inferred"])[true], len(kinds)).numpy()
+                for seed in seeds
+            ],
+            0,
         )
         for axis, kind, matrix in zip(axis_column, kinds, matrices, strict=True):
             frequency_matrix(axis, matrix, f"{row.name}, {reading}\n{kind}")
@@ -137,7 +153,8 @@ def _success(results: Results) -> Figure:
     figure, axes = plt.subplots(1, 2, figsize=(8.4, 3.2), sharey=True)
     for axis, key, label in zip(axes, ("hits", "contacts"), ("success rate", "collision rate"), strict=True):
         for row, seeds in by_row(results):
-            found = [_rates(seeds, place, key) for place in range(len(RATIOS))]
+            stage = [_at(STAGES[0], seed) for seed in seeds]
+            found = [_rates(stage, place, key) for place in range(len(RATIOS))]
             means, widths = [m for m, _ in found], [pooled(m, n).half_width for m, n in found]
             colour = COLOURS.get(row.name, "#CC79A7" if row.name.startswith("GRI") else "0.45")
             axis.plot(RATIOS, means, marker="o", markersize=3, label=row.name, color=colour)

@@ -15,6 +15,7 @@ from gri.data.synthetic import Scenes
 from gri.fine_tuning import FineTuning
 from gri.objectives.grounded import GroundedSettings
 from gri.objectives.recorded import RecordedSettings
+from gri.recorded_scores import RATIOS
 from gri.table2 import ROWS, Job
 from gri.table2_report import Order, publish
 from gri.train import TrainConfig
@@ -136,7 +137,9 @@ def test_grounded_models_the_game_and_nri_are_fine_tuned_and_written_up(lane_fil
     written = publish(Order(LC, lane_file, 1, tmp_path / "out", tmp_path / "jobs", ("GRI", "GRI (paper)", "NRI")))
     text = (tmp_path / "out/table2.md").read_text()
     assert "4 recorded windows in 2 groups that share no vehicle" in text
-    assert "| GRI, drawn only |" in text
+    assert [text.count(f"| {name} |") for name in ("GRI", "GRI, fine-tuned")] == [2, 2]
+    curves = pd.read_csv(tmp_path / "out/table2_ood.csv")
+    assert curves.groupby("stage").size().to_dict() == dict.fromkeys(("drawn only", "fine-tuned"), 3 * len(RATIOS))
     assert "98.5 ± 0.1" in text  # the paper's accuracy
     assert all(path.is_file() for path in written)
     assert {path.suffix for path in written} == {".md", ".csv", ".png", ".json"}
