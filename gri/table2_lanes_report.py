@@ -22,7 +22,7 @@ from gri.table2_text import PAPERS, Results, by_row, files_of, lines, printed_ce
 NOTES = """\
 How it was trained: on scenes whose motion along the road is recorded and whose motion across it is drawn, with lateral
 starts blurred by {blur[0]} m/s and {blur[1]} m/s²; no vehicle of a recorded lane change is in them. "Fine-tuned" is
-that model after, {folds} times, {updates} more updates on the recorded lane changes of all folds but one, beside {beside}
+that model after {updates} more updates on the recorded lane changes of all folds but one of {folds}, beside {beside}
 times as many drawn ones, tested on the fold that was left out.
 
 Mean over windows and seeds ± half of the 95 % interval, for which windows that share vehicles count as one
