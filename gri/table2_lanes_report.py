@@ -52,8 +52,12 @@ def text(results: Results, path: Path) -> str:
 
 
 def _at(stage: str, result: dict[str, Any]) -> dict[str, Any]:
-    """What was measured of a model at a stage of its training."""
-    return result["before"] if stage == "drawn only" else result
+    """A result as it was at a stage of the training."""
+    return result | result["before"] if stage == "drawn only" else result
+
+
+def _all_at(stage: str, results: Results) -> Results:
+    return [(job, _at(stage, result)) for job, result in results]
 
 
 def _label(row: Row, stage: str) -> str:
@@ -96,10 +100,10 @@ def _rates(seeds: Sequence[dict[str, Any]], place: int, key: str) -> tuple[float
 def _curves(results: Results) -> str:
     body = []
     for stage in STAGES:
-        for row, seeds in by_row(results):
-            found, cells = [_at(stage, seed) for seed in seeds], [_label(row, stage)]
+        for row, seeds in by_row(_all_at(stage, results)):
+            cells = [_label(row, stage)]
             for place in range(len(RATIOS)):
-                (mean, scenes), (contacts, _) = (_rates(found, place, key) for key in ("hits", "contacts"))
+                (mean, scenes), (contacts, _) = (_rates(seeds, place, key) for key in ("hits", "contacts"))
                 cells.append(f"{100 * mean:.0f} ± {100 * pooled(mean, scenes).half_width:.0f} ({100 * contacts:.0f})")
             body.append(cells)
     return lines(["model", *[f"δ {ratio:g}" for ratio in RATIOS]], body)
@@ -124,7 +128,7 @@ def tables(results: Results, out: Path) -> list[Path]:
 def figures(results: Results, out: Path) -> list[Path]:
     """F6 by reading, where a row infers graphs, and F11; of the models before they are fine-tuned."""
     drawn = {"f6_edge_frequencies_ngsim_lanes": _frequencies, "f11_success_ngsim_lanes": _success}
-    return write_figures(drawn, results, out)
+    return write_figures(drawn, _all_at("drawn only", results), out)
 
 
 def _frequencies(results: Results) -> Figure:
@@ -136,11 +140,7 @@ def _frequencies(results: Results) -> Figure:
     for axis_column, (row, seeds, reading) in zip(axes.T, columns, strict=True):
         true = np.array(seeds[0]["hypothesis"]) == list(READINGS).index(reading)
         matrices = np.mean(
-            [
-                edge_frequency(torch.tensor(_at(STAGES[0], seed)["inferred"])[true], len(kinds)).numpy()
-                for seed in seeds
-            ],
-            0,
+            [edge_frequency(torch.tensor(seed["inferred"])[true], len(kinds)).numpy() for seed in seeds], 0
         )
         for axis, kind, matrix in zip(axis_column, kinds, matrices, strict=True):
             frequency_matrix(axis, matrix, f"{row.name}, {reading}\n{kind}")
@@ -153,8 +153,7 @@ def _success(results: Results) -> Figure:
     figure, axes = plt.subplots(1, 2, figsize=(8.4, 3.2), sharey=True)
     for axis, key, label in zip(axes, ("hits", "contacts"), ("success rate", "collision rate"), strict=True):
         for row, seeds in by_row(results):
-            stage = [_at(STAGES[0], seed) for seed in seeds]
-            found = [_rates(stage, place, key) for place in range(len(RATIOS))]
+            found = [_rates(seeds, place, key) for place in range(len(RATIOS))]
             means, widths = [m for m, _ in found], [pooled(m, n).half_width for m, n in found]
             colour = COLOURS.get(row.name, "#CC79A7" if row.name.startswith("GRI") else "0.45")
             axis.plot(RATIOS, means, marker="o", markersize=3, label=row.name, color=colour)

@@ -136,27 +136,26 @@ def recorded_prior(
     prior = scene_prior(reward, state, grounded.no_edge_prior, grounded.ahead_only)
     senders, receivers = edge_ends(state.shape[1])
     lane = same_lane(reward, state)
+    together = lane[:, senders, receivers]
+    followable = together
     if grounded.ahead_only:
         next_ahead = preceding(state[:, :, -1, 0], lane)[:, senders, receivers]
-        unlikely = IMPOSSIBLE if EdgeType.YIELD in reward.vocabulary else UNLIKELY
+        unlikely = IMPOSSIBLE if EdgeType.YIELD in reward.vocabulary else 1e-12
         prior[..., 1:] = prior[..., 1:].masked_fill(~next_ahead[..., None], unlikely)
+        followable = together & next_ahead
     if EdgeType.YIELD in reward.vocabulary:
-        together = lane[:, senders, receivers]
         for kind, excluded in ((EdgeType.FOLLOW, ~together), (EdgeType.YIELD, together)):
             k = reward.vocabulary.index(kind)
             prior[..., k] = prior[..., k].masked_fill(excluded, IMPOSSIBLE)
     if settings.no_follow_prior is not None:
         none, follow = (reward.vocabulary.index(kind) for kind in (EdgeType.NONE, EdgeType.FOLLOW))
-        possible = prior[..., follow] > 2 * UNLIKELY
         alone = prior[..., follow] * settings.no_follow_prior / (1 - settings.no_follow_prior)
-        prior[..., none] = torch.where(possible, alone, prior[..., none])
+        prior[..., none] = torch.where(followable, alone, prior[..., none])
     return prior / prior.sum(-1, keepdim=True)
 
 
 IMPOSSIBLE = 1e-37
 """Probability of what a type excludes by definition: no likelihood makes up for it, and its logarithm is finite."""
-UNLIKELY = 1e-12
-"""Probability of what a likelihood may still speak for."""
 
 
 def same_lane(reward: StructuredReward, state: Float[Tensor, "B N T D"]) -> Bool[Tensor, "B N N"]:

@@ -109,18 +109,18 @@ def augment(
     v = dynamics.speed
     position, speed = state[..., 0], state[..., v]
     row = position.mean(-1).argsort(-1)  # Shape: (B, N), from back to front
+    place = row.argsort(-1)  # of each vehicle in that row
     headway = position.take_along_dim(row[..., None], 1).diff(dim=1).mean(-1)
     low, high = augmentation.stretch
     factor = low + (high - low) * torch.rand(headway.shape, generator=generator)
     back = ((factor - 1) * headway).flip(1).cumsum(1).flip(1)  # how far each vehicle but the first falls back
-    back = torch.nn.functional.pad(back, (0, 1)).gather(1, row.argsort(-1))
+    back = torch.nn.functional.pad(back, (0, 1)).gather(1, place)
     position = position - back[..., None]
     position = position + augmentation.position_noise * torch.randn(position.shape, generator=generator)
     speed = speed + augmentation.speed_noise * torch.randn(speed.shape, generator=generator)
     if augmentation.faster:
         added = augmentation.faster * torch.rand(len(state), 1, 1, generator=generator)
-        place = position.mean(-1)
-        ahead = (place[:, None] > place[:, :, None]).sum(-1)  # Shape: (B, N), how many vehicles are ahead
+        ahead = state.shape[1] - 1 - place
         time = dt * torch.arange(state.shape[2])
         position, speed = position + added * (time - HEADWAY * ahead[..., None]), speed + added
     return torch.cat([position[..., None], state[..., 1:v], speed[..., None], state[..., v + 1 :]], -1)

@@ -7,7 +7,7 @@ import torch
 from gri.data.recorded_ranges import NGSIM_CAR_FOLLOWING, NGSIM_LANE_CHANGING
 from gri.data.synthetic import Scenes, model_config
 from gri.decoder import DecoderConfig
-from gri.dynamics import POINT_MASS_1D, POINT_MASS_2D
+from gri.dynamics import POINT_MASS_1D, POINT_MASS_2D, Dynamics
 from gri.encoder import EncoderConfig
 from gri.errors import InputError
 from gri.graph import EdgeType, InteractionGraph, pairs
@@ -28,17 +28,23 @@ SMALL = RecordedSettings(
 )
 
 
+def driven(start: list[list[float]], action: torch.Tensor, dynamics: Dynamics) -> torch.Tensor:
+    """States of scenes that all begin alike."""
+    states = [torch.tensor(start).expand(len(action), -1, -1)]
+    for t in range(action.shape[2]):
+        states.append(dynamics.step(states[-1], action[:, :, t], 0.2))
+    return torch.stack(states, 2)
+
+
 def scenes(count: int = 6, steps: int = 12) -> Scenes:
     """Three vehicles 15 m apart with random jerks."""
     generator = torch.Generator().manual_seed(0)
     action = 0.5 * torch.randn(count, 3, steps - 1, 1, generator=generator)
-    states = [torch.tensor([[0.0, 9.0, 0.0], [15.0, 9.0, 0.0], [30.0, 9.0, 0.0]]).expand(count, -1, -1)]
-    for t in range(steps - 1):
-        states.append(POINT_MASS_1D.step(states[-1], action[:, :, t], 0.2))
+    state = driven([[0.0, 9.0, 0.0], [15.0, 9.0, 0.0], [30.0, 9.0, 0.0]], action, POINT_MASS_1D)
     graph = InteractionGraph.of_edges(
         {(1, 0): EdgeType.FOLLOW, (2, 1): EdgeType.FOLLOW}, NGSIM_CAR_FOLLOWING.vocabulary
     )
-    return Scenes(torch.stack(states, 2), action[:, :2], graph.map.expand(count, -1))
+    return Scenes(state, action[:, :2], graph.map.expand(count, -1))
 
 
 def model() -> RelationalModel:
@@ -66,10 +72,8 @@ def test_the_likelihood_is_not_a_matter_of_rounding():
     generator = torch.Generator().manual_seed(4)
     action = torch.randn(64, 3, 29, 2, generator=generator) * torch.tensor([0.5, 0.2])
     start = [[0.0, -3.6, 2.0, 0, 0, 0], [-8.0, 0, 2.0, 0, 0, 0], [8.0, 0, 2.0, 0, 0, 0]]
-    states = [torch.tensor(start).expand(64, -1, -1)]
-    for t in range(29):
-        states.append(POINT_MASS_2D.step(states[-1], action[:, :, t], 0.2))
-    walks = Scenes(torch.stack(states, 2), action[:, :2], torch.zeros(64, 6, dtype=torch.long))[41:42]
+    state = driven(start, action, POINT_MASS_2D)
+    walks = Scenes(state, action[:, :2], torch.zeros(64, 6, dtype=torch.long))[41:42]
     lent = RelationalModel(model_config(NGSIM_LANE_CHANGING, DecoderConfig(kind="recurrent", hidden=8), None))
     torch.manual_seed(0)
     reward = StructuredReward(NGSIM_LANE_CHANGING.reward)
