@@ -93,7 +93,7 @@ def append(file: BinaryIO, table: pd.DataFrame, options: csv.WriteOptions) -> No
 def measured(*arguments: str) -> tuple[float, float]:
     """Seconds of processor time and peak memory [GB] of a command, the greatest of all commands so far."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    subprocess.run([sys.executable, "-m", "gri.cli", *arguments], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run([sys.executable, "-m", "gri.commands.cli", *arguments], check=True, stdout=subprocess.DEVNULL)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime, after.ru_maxrss / 1e6
 

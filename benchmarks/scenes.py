@@ -19,13 +19,13 @@ from pathlib import Path
 import pandas  # noqa: F401  pyarrow brings it with the first table, once per process
 from turns import side_by_side
 
-from cosim.inputs import find_net
-from cosim.loading import load_scenario
 from cosim.scenes.rules import DT, KINDS, Rules
-from cosim.scenes.shard import Reel, Spec, running
-from cosim.snapshot import StepReport
+from cosim.scenes.seed_scenes import Reel, Spec, running
+from cosim.spec.input_files import find_net
+from cosim.spec.loading import load_scenario
 from cosim.sumo import Sumo
-from gri.data.scenes_file import Header, writing
+from cosim.world.snapshot import StepReport
+from gri.data.scene_file.schema import Header, writing
 
 TURN = 50  # steps
 BETWEEN = 100  # steps from one round to the next

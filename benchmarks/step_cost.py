@@ -19,15 +19,15 @@ import torch
 from msgspec.structs import replace
 from turns import side_by_side
 
-from cosim.closed_loop import Files, RunningRoad, Trunk, simulation
-from cosim.driving import Driver, Start, drive, start
-from cosim.inputs import find_net
-from cosim.loading import load_scenario
-from cosim.policies import driver_of
-from cosim.record import Round
-from cosim.scenario import Scenario
-from cosim.snapshot import Snapshot
-from cosim.traffic import route_file
+from cosim.loop.closed_loop import Files, RunningRoad, Trunk, simulation
+from cosim.loop.driving import Driver, Start, drive, start
+from cosim.loop.round_recorder import Round
+from cosim.runs.policy_loading import driver_of
+from cosim.spec.input_files import find_net
+from cosim.spec.loading import load_scenario
+from cosim.spec.scenario import Scenario
+from cosim.traffic.route_file import route_file
+from cosim.world.snapshot import Snapshot
 
 REPEATS, TURN = 7, 5
 BETWEEN = 10.0  # [s] from one round to the next attempt to find groups

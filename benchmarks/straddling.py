@@ -1,8 +1,8 @@
 """Do background vehicles drive into a vehicle that merges? Owned vehicles merge through dense traffic on both nets.
 
 Only the merger is driven (by the untrained merging driver); lag vehicle and leader are SUMO's, so that SUMO's drivers
-have to see a vehicle that is between two lanes. Once with twins (`cosim.twins`), once without, on the same groups. A
-contact counts as "into the owned vehicle" where the other one's front is farther back.
+have to see a vehicle that is between two lanes. Once with twins (`cosim.loop.shadow_vehicles`), once without, on the
+same groups. A contact counts as "into the owned vehicle" where the other one's front is farther back.
 
     python benchmarks/straddling.py
 """
@@ -17,14 +17,14 @@ from unittest.mock import patch
 import msgspec
 import torch
 
-from cosim import twins
-from cosim.closed_loop import Files, run
-from cosim.driving import Driver
-from cosim.episode import Ending, Episode, EventKind
-from cosim.inputs import find_net
-from cosim.loading import load_scenario
-from gri.merging import MergingDriver
-from gri.policy import IntelligentDriver
+from cosim.loop import shadow_vehicles
+from cosim.loop.closed_loop import Files, run
+from cosim.loop.driving import Driver
+from cosim.spec.input_files import find_net
+from cosim.spec.loading import load_scenario
+from cosim.world.episode import Ending, Episode, EventKind
+from gri.core.merging_policy import MergingDriver
+from gri.core.policy import IntelligentDriver
 
 DRIVER = Driver("merging driver", MergingDriver(IntelligentDriver(0.2)))
 
@@ -59,8 +59,8 @@ def main() -> None:
         disagreements, began = 0, time.monotonic()
         for site in options.sites:
             for seed in options.seeds:
-                mechanism = twins.place if with_twins else lambda *_: ""
-                with patch("cosim.twins.place", mechanism):
+                mechanism = shadow_vehicles.place if with_twins else lambda *_: ""
+                with patch("cosim.loop.shadow_vehicles.place", mechanism):
                     episodes = merges(site, seed, options.count)
                 found.update(outcome(episode) for episode in episodes)
                 kinds = [event.kind for episode in episodes for event in episode.events]

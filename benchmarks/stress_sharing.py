@@ -2,7 +2,7 @@
 
     python benchmarks/stress_sharing.py [--starts 10] [--measured 2]
 
-Shared: one warm-up, and of each round a branch per cell and policy (`cosim.stress.job`). Alone: every cell and policy
+Shared: one warm-up, and of each round a branch per cell and policy (`cosim.stress.chunk`). Alone: every cell and policy
 warms up and drives the same starts in a simulation of its own; `--measured` of them are run, evenly spread, and their
 mean stands for all. CPU seconds of the process and its branches.
 """
@@ -14,9 +14,9 @@ import statistics
 import torch
 from msgspec.structs import replace
 
-from cosim.loading import load_scenario
-from cosim.stress.job import rows_of
-from cosim.stress.spec import Chunk, chunks, policies_of, sweeps_of
+from cosim.spec.loading import load_scenario
+from cosim.stress.chunk import rows_of
+from cosim.stress.plan import Chunk, chunks, policies_of, sweeps_of
 
 KINDS = ("headway_ratio", "leader_braking", "observation_noise", "latency", "action_delay")
 

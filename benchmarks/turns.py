@@ -5,9 +5,9 @@ from multiprocessing import get_context
 from multiprocessing.synchronize import Semaphore
 from typing import TypeVar
 
-from cosim.branch import fork
-from cosim.snapshot import StepReport
+from cosim.process.fork import fork
 from cosim.sumo import Sumo
+from cosim.world.snapshot import StepReport
 
 A = TypeVar("A")
 B = TypeVar("B")

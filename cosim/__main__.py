@@ -1,6 +1,6 @@
 """`python -m cosim` is the `cosim` command."""
 
-from cosim.cli import main
+from cosim.commands.cli import main
 
 if __name__ == "__main__":
     main()

@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from gri.checkpoint import load, save
+    from gri.core.graph import EdgeType, InteractionGraph
+    from gri.core.policy import ConstantVelocity, IntelligentDriver, Policy, PolicyState
+    from gri.core.trajectory import Trajectory
     from gri.errors import InputError
-    from gri.graph import EdgeType, InteractionGraph
-    from gri.model import ModelConfig, RelationalModel
-    from gri.policy import ConstantVelocity, IntelligentDriver, Policy, PolicyState
-    from gri.types import Trajectory
+    from gri.networks.model import ModelConfig, RelationalModel
 
 __all__ = [
     "ConstantVelocity",
@@ -32,10 +32,10 @@ __all__ = [
 _HOMES = {
     "gri.checkpoint": ("load", "save"),
     "gri.errors": ("InputError",),
-    "gri.graph": ("EdgeType", "InteractionGraph"),
-    "gri.model": ("ModelConfig", "RelationalModel"),
-    "gri.policy": ("ConstantVelocity", "IntelligentDriver", "Policy", "PolicyState"),
-    "gri.types": ("Trajectory",),
+    "gri.core.graph": ("EdgeType", "InteractionGraph"),
+    "gri.networks.model": ("ModelConfig", "RelationalModel"),
+    "gri.core.policy": ("ConstantVelocity", "IntelligentDriver", "Policy", "PolicyState"),
+    "gri.core.trajectory": ("Trajectory",),
 }
 
 

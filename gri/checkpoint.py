@@ -11,10 +11,10 @@ import msgspec
 import torch
 from torch import Tensor
 
+from gri.core.graph import FOLLOWING
 from gri.errors import InputError
-from gri.graph import FOLLOWING
-from gri.model import ModelConfig, RelationalModel
-from gri.rewards import LaneRewardConfig, NaturalisticConfig, RewardConfig, StructuredReward
+from gri.networks.model import ModelConfig, RelationalModel
+from gri.rewards.structured import LaneRewardConfig, NaturalisticConfig, RewardConfig, StructuredReward
 
 FORMAT = "gri-checkpoint"
 VERSION = 1

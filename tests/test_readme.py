@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from cosim.episode import COLUMNS
+from cosim.world.episode import COLUMNS
 
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text()

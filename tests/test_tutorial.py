@@ -48,7 +48,7 @@ def test_every_command_of_the_tutorial_works(tmp_path):
 def test_every_command_of_the_tools_is_known():
     from typer.main import get_command
 
-    from cosim.cli import app
+    from cosim.commands.cli import app
 
     known = set(get_command(app).commands)  # type: ignore[attr-defined]
     used = {line.split()[1] for line in commands() if line.startswith("cosim ")}
@@ -59,8 +59,8 @@ def test_every_command_of_the_tools_is_known():
 @pytest.mark.parametrize("name", [name for name in files() if name.endswith(".yaml")])
 def test_every_file_of_the_tutorial_is_valid(name, tmp_path, monkeypatch):
     """Quickly, without running anything; the batch finds its scenario and its policy beside it."""
-    from cosim.batch.matrix import expand, load_batch
-    from cosim.loading import load_scenario
+    from cosim.batch.run_matrix import expand, load_batch
+    from cosim.spec.loading import load_scenario
 
     monkeypatch.chdir(tmp_path)
     for other, text in files().items():

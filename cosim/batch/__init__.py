@@ -1,1 +1,1 @@
-"""Batches: many closed-loop runs from one YAML file, each in a process of its own."""
+"""Many runs from one YAML file, each in a process of its own; resumable. Begin with `execute`."""

@@ -14,11 +14,11 @@ from typing import Any
 
 import msgspec
 
-from cosim.batch.matrix import PACKAGES, Run
+from cosim.batch.run_matrix import PACKAGES, Run
 from cosim.batch.spec import Batch
 from cosim.batch.store import Store
-from cosim.batch.task import Answer, Answers, Task
-from cosim.terminal import Tally
+from cosim.process.task import Answer, Answers, Task
+from cosim.process.terminal import Tally
 
 Executor = Callable[[deque[Task], float], Answers]  # (queue, time limit [s])
 FINAL = ("input",)  # kinds of failure that a second attempt cannot mend

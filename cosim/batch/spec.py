@@ -1,7 +1,8 @@
 """Batch: the frozen, typed specification of many runs as a matrix.
 
 A batch is a YAML file. Its runs are scenarios × policies × (nominal + perturbations × intensities) × variants × seeds,
-less what `exclude` matches, plus what `include` lists. `cosim.batch.matrix` turns it into single, checked scenarios.
+less what `exclude` matches, plus what `include` lists. `cosim.batch.run_matrix` turns it into single, checked
+scenarios.
 """
 
 from typing import Annotated, Any
@@ -9,8 +10,8 @@ from typing import Annotated, Any
 import msgspec
 from msgspec import Meta, field
 
-from cosim.demand import Count, Name, Positive, Spec
-from cosim.scenario import Driver, Seed
+from cosim.spec.demand import Count, Name, Positive, Spec
+from cosim.spec.scenario import Driver, Seed
 
 Intensities = Annotated[tuple[float, ...], Meta(min_length=1)]
 NOMINAL = "nominal"  # the perturbation of a run that has none

@@ -1,1 +1,4 @@
-"""Training scenes out of live traffic, with the relations that the simulator knows (docs/scene-labels.md)."""
+"""Training scenes cut out of live traffic, with the relations that SUMO knows (docs/scene-labels.md).
+
+Begin with `dataset.make`; `seed_scenes` runs one seed, `trajectory_buffer` holds the last seconds of traffic.
+"""

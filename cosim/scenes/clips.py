@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from cosim.labels import NOBODY, Told
+from cosim.measures.relation_labels import NOBODY, Told
+from cosim.scenes.candidates import Window, rows_through
 from cosim.scenes.rules import Kind
-from cosim.scenes.tape import COLUMN, Moment, Tape
-from cosim.scenes.windows import Window, rows_through
-from cosim.snapshot import Character
+from cosim.scenes.trajectory_buffer import COLUMN, Moment, Tape
+from cosim.world.snapshot import Character
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ def _allowed(
 
 
 def told_of(clips: Sequence[Clip], step: float, every: int) -> Told:
-    """What SUMO says of the vehicles of clips of one kind, for `cosim.labels`."""
+    """What SUMO says of the vehicles of clips of one kind, for `cosim.measures.relation_labels`."""
     values = np.stack([clip.values[:, :-1] for clip in clips])
     v, limit = values[..., COLUMN["v"]], values[..., COLUMN["limit"]]
     leader, asker, target, cut_in = (

@@ -4,8 +4,8 @@ from typing import Literal
 
 import msgspec
 
-from cosim.labels import Reduction
-from gri.edges import EdgeType
+from cosim.measures.relation_labels import Reduction
+from gri.core.edges import EdgeType
 from gri.errors import InputError
 
 Kind = Literal["car_following", "merge"]

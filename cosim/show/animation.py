@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.show.episode import View
+from cosim.show.episode_view import View
 from cosim.show.templates import page
 
 

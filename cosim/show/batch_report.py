@@ -7,17 +7,17 @@ import numpy as np
 import pandas as pd
 import yaml
 
-from cosim.batch import figures
-from cosim.batch.figures import MEASURES, SUMO
-from cosim.batch.listing import groups_of, p_value
+from cosim.batch import group_statistics
+from cosim.batch.group_statistics import MEASURES, SUMO
+from cosim.batch.result_listing import groups_of, p_value
 from cosim.batch.store import Store
-from cosim.results import read_tables
-from cosim.show import charts, graphs
+from cosim.measures.statistics import Estimate, PairedTest
+from cosim.runs.results import read_tables
+from cosim.show import graph_drawing, svg_charts
 from cosim.show.animation import script_of
-from cosim.show.episode import view
+from cosim.show.episode_view import view
 from cosim.show.templates import page
-from cosim.show.worst import worst
-from cosim.statistics import Estimate, PairedTest
+from cosim.show.worst_episodes import worst
 
 ANIMATIONS = 6
 CURVES = ("success", "contact", "short_ttc", "min_gap")
@@ -40,11 +40,13 @@ def report(store: Store) -> str:
         ),
         policies=policies,
         reference=reference,
-        measures=[charts.titled(measure) for measure in MEASURES],
+        measures=[svg_charts.titled(measure) for measure in MEASURES],
         rows=_rows(groups),
         differences=_differences(groups, reference),
-        curves=[(name, charts.curves(groups, name, _unit(name, manifest), CURVES)) for name in _perturbations(groups)],
-        spreads=charts.distributions(groups, SPREADS),
+        curves=[
+            (name, svg_charts.curves(groups, name, _unit(name, manifest), CURVES)) for name in _perturbations(groups)
+        ],
+        spreads=svg_charts.distributions(groups, SPREADS),
         beliefs=_beliefs(groups),
         films=_films(store, groups),
         failures=_failures(store, manifest),
@@ -67,10 +69,10 @@ def _perturbations(groups: pd.DataFrame) -> list[str]:
 
 def _unit(name: str, manifest: dict[str, Any]) -> str:
     """Unit of a perturbation's intensity, where its kind is one that a scenario knows."""
-    from cosim.perturb import specs
+    from cosim.spec import perturbations
 
     kind = manifest["batch"]["perturbations"][name]["kind"]
-    known = {cls.__struct_config__.tag: cls for cls in specs.Spec.__subclasses__()}
+    known = {cls.__struct_config__.tag: cls for cls in perturbations.Spec.__subclasses__()}
     return known[kind].unit if kind in known else ""
 
 
@@ -82,7 +84,7 @@ def _rows(groups: pd.DataFrame) -> dict[str, Any]:
     """The headline table."""
     order = [name for name in PARTS if name != "policy" and groups[name].nunique(dropna=False) > 1] + ["policy"]
     place = {name: {str(value): k for k, value in enumerate(dict.fromkeys(groups[name]))} for name in order}
-    table = [row for _, row in figures.headline(groups, order).iterrows()]
+    table = [row for _, row in group_statistics.headline(groups, order).iterrows()]
     table.sort(key=lambda row: [place[name][str(row[name])] for name in order])
     return {
         "names": order,
@@ -114,9 +116,9 @@ def _differences(groups: pd.DataFrame, reference: str) -> list[dict[str, Any]]:
         for policy in dict.fromkeys(part["policy"]):
             if policy == reference or (policy == SUMO and perturbation != "nominal"):
                 continue
-            starts = len(figures.paired(part, policy, reference)[0])
+            starts = len(group_statistics.paired(part, policy, reference)[0])
             if starts:
-                tests = figures.compare(part, policy, reference)
+                tests = group_statistics.compare(part, policy, reference)
                 cells = [(*_figure(tests[m.name].difference, m.unit), _stars(tests[m.name])) for m in MEASURES]
                 found.append({"labels": [perturbation, f"{policy} − {reference}"], "starts": starts, "figures": cells})
     return found
@@ -130,14 +132,14 @@ def _beliefs(groups: pd.DataFrame) -> list[dict[str, Any]]:
     """Inferred graphs per policy, scenario and perturbation kind, for drivers that have one."""
     found = []
     for (scenario, policy), part in groups.groupby(["scenario", "policy"], sort=False):
-        pairs = graphs.pairs_of(part)
+        pairs = graph_drawing.pairs_of(part)
         if pairs:
             expected = part["graph_as_expected"].dropna().astype(bool)
             found.append(
                 {
                     "name": f"{policy}, {scenario}",
                     "pairs": pairs,
-                    "drawing": graphs.drawing(pairs),
+                    "drawing": graph_drawing.drawing(pairs),
                     "groups": len(part),
                     "expected": f"{100 * expected.mean():.0f} %",
                 }

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.transforms import Affine2D
 
-from cosim.report import ROLE_COLOURS
-from cosim.show.episode import View
+from cosim.runs.report import ROLE_COLOURS
+from cosim.show.episode_view import View
 from gri.errors import InputError
 
 

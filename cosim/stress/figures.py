@@ -9,10 +9,10 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from cosim.batch.figures import Measure
-from cosim.perturb.specs import KINDS
-from cosim.stress.spec import NOMINAL, OF_TRAFFIC
-from cosim.stress.summary import MEASURES
+from cosim.batch.group_statistics import Measure
+from cosim.spec.perturbations import KINDS
+from cosim.stress.estimates import MEASURES
+from cosim.stress.plan import NOMINAL, OF_TRAFFIC
 
 PANELS = ("success", "contact", "min_ttc", "min_gap", "jerk_95", "follower_braking")
 ACROSS = "lateral_change"  # instead of the jerk where vehicles change lanes

@@ -5,8 +5,8 @@ from collections.abc import Iterable, Sequence
 
 import libsumo
 
-from cosim.snapshot import Character, Driving
-from cosim.sumo.kept import Kept
+from cosim.sumo.cache import Kept
+from cosim.world.snapshot import Character, Driving
 
 _raw = libsumo._libsumo  # without the Python wrappers, for what is asked of every vehicle in every step
 _position, _speed, _vehicles = _raw.vehicle_getLanePosition, _raw.vehicle_getSpeed, _raw.lane_getLastStepVehicleIDs
@@ -43,7 +43,7 @@ class Drivers:
         )
 
     def lane_change_state(self, vehicle: str, left: bool) -> int:
-        """What a driver's lane-change model thought of one side in the last step (`cosim.snapshot.LaneChange`)."""
+        """What a driver's lane-change model thought of one side in the last step (`LaneChange`)."""
         return libsumo.vehicle.getLaneChangeState(vehicle, 1 if left else -1)[0]
 
     def must_leave(self, vehicle: str) -> bool:

@@ -7,8 +7,8 @@ import libsumo
 import numpy as np
 from jaxtyping import Float
 
-from cosim.frames import RoadFrame, without_straight_vertices
-from cosim.snapshot import Strip
+from cosim.world.road_frame import RoadFrame, without_straight_vertices
+from cosim.world.snapshot import Strip
 
 
 class Net:

@@ -2,7 +2,7 @@
 
 import torch
 
-from gri.data.synthetic import Scenes
+from gri.core.scenes import Scenes
 
 
 def mixed(synthetic: Scenes, filed: Scenes) -> Scenes:

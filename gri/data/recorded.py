@@ -8,11 +8,11 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from gri.data.ngsim.drawn import MARK
-from gri.data.recorded_ranges import RecordedRange
-from gri.data.scenes_reading import Recorded, joined, read, scene_counts
-from gri.data.synthetic import Scenes
-from gri.dynamics import dynamics_named
+from gri.core.dynamics import dynamics_named
+from gri.core.scenes import Scenes
+from gri.data.ngsim.drawn_lane_changes import MARK
+from gri.data.ranges.recorded import RecordedRange
+from gri.data.scene_file.reading import Recorded, joined, read, scene_counts
 from gri.errors import InputError
 
 

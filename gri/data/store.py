@@ -12,14 +12,15 @@ import msgspec
 import numpy as np
 import torch
 
-from gri.data.highway_merge import HIGHWAY_MERGE, HighwayMergeRange
-from gri.data.lane_changing import LANE_CHANGING_SCENES
+from gri.core.scenes import Scenes
 from gri.data.mixture import mixed
-from gri.data.optimal import make_highway_scenes
-from gri.data.ranges import RANGES, GraphShare
+from gri.data.ranges.car_following import RANGES, GraphShare
+from gri.data.ranges.highway_merge import HIGHWAY_MERGE, HighwayMergeRange
+from gri.data.ranges.lane_changing import LANE_CHANGING_SCENES
+from gri.data.ranges.recorded import RECORDED, SUMO_CAR_FOLLOWING, SUMO_MERGE, RecordedRange
 from gri.data.recorded import recorded_scenes
-from gri.data.recorded_ranges import RECORDED, SUMO_CAR_FOLLOWING, SUMO_MERGE, RecordedRange
-from gri.data.synthetic import Range, Scenes, make_scenes, train_expert
+from gri.data.synthetic.expert import Range, make_scenes, train_expert
+from gri.data.synthetic.optimal_drivers import make_highway_scenes
 from gri.errors import InputError
 from gri.progress import Progress, silent
 

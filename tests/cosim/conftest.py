@@ -6,11 +6,11 @@ import msgspec
 import pytest
 import yaml
 
-from cosim.closed_loop import Files, Outcome, run
-from cosim.driving import Driver
-from cosim.loading import load_scenario
-from cosim.scenario import Scenario
-from gri.policy import Policy
+from cosim.loop.closed_loop import Files, Outcome, run
+from cosim.loop.driving import Driver
+from cosim.spec.loading import load_scenario
+from cosim.spec.scenario import Scenario
+from gri.core.policy import Policy
 from gri.resources import shipped
 
 

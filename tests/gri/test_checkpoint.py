@@ -4,10 +4,10 @@ import pytest
 import torch
 
 from gri import checkpoint, resources
+from gri.core.trajectory import Trajectory
 from gri.errors import InputError
-from gri.model import ModelConfig, RelationalModel
-from gri.rewards import RewardConfig, StructuredReward
-from gri.types import Trajectory
+from gri.networks.model import ModelConfig, RelationalModel
+from gri.rewards.structured import RewardConfig, StructuredReward
 
 
 @pytest.fixture

@@ -6,9 +6,9 @@ import pytest
 from gri import resources
 from gri.config import read_yaml
 from gri.errors import InputError
-from gri.objectives.airl import AdversarialSettings
-from gri.objectives.grounded import GroundedSettings
-from gri.train import TrainConfig, model_config, read_train_config
+from gri.training.adversarial.airl import AdversarialSettings
+from gri.training.grounded.settings import GroundedSettings
+from gri.training.train import TrainConfig, model_config, read_train_config
 
 GOOD = """\
 name: small

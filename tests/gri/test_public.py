@@ -12,7 +12,7 @@ def test_every_public_name_is_there():
 
 
 def test_reading_a_scenario_does_not_import_torch():
-    code = "import sys; from cosim.loading import load_scenario; load_scenario('us101_car_following')"
+    code = "import sys; from cosim.spec.loading import load_scenario; load_scenario('us101_car_following')"
     code += "; print('torch' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"

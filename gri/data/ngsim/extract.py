@@ -13,7 +13,7 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from gri.data.ngsim import drawn
+from gri.data.ngsim import drawn_lane_changes
 from gri.data.ngsim.car_following import triples
 from gri.data.ngsim.columns import FRAME
 from gri.data.ngsim.defects import Quality, clean
@@ -21,9 +21,9 @@ from gri.data.ngsim.lane_changing import GRAPHS, Reading, groups
 from gri.data.ngsim.recordings import Recording, shelve
 from gri.data.ngsim.rules import FREEWAYS, Rules, splits_of
 from gri.data.ngsim.smoothing import Motion, smoothed
-from gri.data.scenes_file import Header, SceneBlock, header_of, names_of, writing
+from gri.data.scene_file.schema import Header, SceneBlock, header_of, names_of, writing
 from gri.errors import InputError
-from gri.model import CHAIN, Edge
+from gri.networks.model import CHAIN, Edge
 from gri.progress import Progress, silent
 
 Kind = Literal["car_following", "lane_changing_h1", "lane_changing_h2"]
@@ -97,7 +97,7 @@ def scene_file(source: Path, folder: Path, progress: Progress = silent) -> Path:
     files = [p for p in found if p.name.lower().endswith((".txt", ".csv", ".gz", ".zip"))]
     if not files:
         raise InputError(f"{source}: got no NGSIM files (.txt, .csv, .gz, .zip) and no scene file; give either")
-    key = msgspec.json.encode([[(p.name, p.stat().st_size) for p in files], Rules(), drawn.OFFSET])
+    key = msgspec.json.encode([[(p.name, p.stat().st_size) for p in files], Rules(), drawn_lane_changes.OFFSET])
     path = folder / f"ngsim-{hashlib.sha256(key).hexdigest()[:10]}.parquet"
     if not path.is_file():
         extract(files, path, Rules(), progress=progress)
@@ -132,13 +132,15 @@ def _drawn(kind: Kind, recording: Recording, motion: Motion, rules: Rules) -> It
     if reading is None:
         return
     rows = triples(motion, msgspec.structs.replace(rules, following_steps=rules.changing_steps), Counter())
-    rows = rows[splits_of(motion.vehicle[rows[:, 0, 0]], rules) != "test"][:, list(drawn.PLACES[reading])]
+    rows = rows[splits_of(motion.vehicle[rows[:, 0, 0]], rules) != "test"][:, list(drawn_lane_changes.PLACES[reading])]
     generator = np.random.default_rng([rules.seed, recording.clock % 2**32, int(reading[1])])
     for _ in range(rules.drawn):
         for some in _few(rows):
             block = _block(kind, recording, motion, some, GRAPHS[reading], rules, ("x",))
-            across = drawn.lateral(len(some), rules.changing_steps, rules.smoothing.dt, rules.crossing, generator)
-            source = np.full(len(some), recording.site + drawn.MARK, object)
+            across = drawn_lane_changes.lateral(
+                len(some), rules.changing_steps, rules.smoothing.dt, rules.crossing, generator
+            )
+            source = np.full(len(some), recording.site + drawn_lane_changes.MARK, object)
             single = {name: values.astype(np.float32) for name, values in across.items()}
             yield replace(block, source=source, features={**block.features, **single})
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from gri.data.ngsim.rules import Rules, Sieve
 from gri.data.ngsim.smoothing import Motion
-from gri.model import MERGE_BEHIND, MERGE_BETWEEN, Edge
+from gri.networks.model import MERGE_BEHIND, MERGE_BETWEEN, Edge
 
 Reading = Literal["H1", "H2"]
 GRAPHS: dict[Reading, tuple[Edge, ...]] = {"H1": MERGE_BEHIND, "H2": MERGE_BETWEEN}

@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cosim.episode import COLUMNS
-from cosim.show.episode import View, view
+from cosim.show.episode_view import View, view
+from cosim.world.episode import COLUMNS
 
 
 @pytest.fixture

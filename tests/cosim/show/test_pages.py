@@ -9,13 +9,13 @@ import pandas as pd
 import pytest
 from PIL import Image
 
-from cosim.loading import load_scenario
-from cosim.show import charts, graphs
+from cosim.show import graph_drawing, svg_charts
 from cosim.show.animation import data_of, html, script_of
-from cosim.show.episode import view
+from cosim.show.episode_view import view
 from cosim.show.film import film
-from cosim.show.gui import command, replay
-from cosim.show.worst import worst
+from cosim.show.sumo_gui import command, replay
+from cosim.show.worst_episodes import worst
+from cosim.spec.loading import load_scenario
 from gri.errors import InputError
 
 
@@ -88,21 +88,21 @@ def groups() -> pd.DataFrame:
 
 def test_charts_take_the_ink_of_the_page_and_name_their_axes(groups):
     for text in (
-        charts.curves(groups, "braking", "m/s²", ("success", "min_gap")),
-        charts.distributions(groups, ["min_gap"]),
+        svg_charts.curves(groups, "braking", "m/s²", ("success", "min_gap")),
+        svg_charts.distributions(groups, ["min_gap"]),
     ):
         assert text.startswith("<svg")
-        assert charts.INK not in text
+        assert svg_charts.INK not in text
         assert "currentColor" in text
         assert "minimum gap [m]" in text
-    assert "intensity of braking [m/s²]" in charts.curves(groups, "braking", "m/s²", ("success",))
+    assert "intensity of braking [m/s²]" in svg_charts.curves(groups, "braking", "m/s²", ("success",))
 
 
 def test_graphs_are_counted(groups):
-    pairs = graphs.pairs_of(groups)
+    pairs = graph_drawing.pairs_of(groups)
     assert (pairs[1, 0].type, pairs[1, 0].share, pairs[1, 0].probability) == ("follow", 1.0, pytest.approx(0.9))
     assert (pairs[0, 1].type, pairs[0, 1].share) == ("none", 0.75)
-    text = graphs.drawing(pairs)
+    text = graph_drawing.drawing(pairs)
     assert text.count("<path") == 1, "pairs without a relation are not drawn"
     assert "follow 100 %" in text
 

@@ -5,10 +5,10 @@ from pathlib import Path
 import pytest
 import torch
 
+from gri.core.scenes import Scenes
+from gri.data.export import write_synthetic
 from gri.data.mixture import mixed
 from gri.data.store import DataConfig, Splits, scenes_of, scenes_path, write_scenes
-from gri.data.synthetic import Scenes
-from gri.data.synthetic_file import write_synthetic
 from gri.errors import InputError
 
 

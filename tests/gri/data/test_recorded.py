@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import torch
 
-from gri.data.ngsim.drawn import MARK
+from gri.core.edges import EdgeType
+from gri.data.ngsim.drawn_lane_changes import MARK
+from gri.data.ranges.recorded import NGSIM_CAR_FOLLOWING, SUMO_CAR_FOLLOWING, SUMO_MERGE
 from gri.data.recorded import recorded_scenes, scenes_to_test
-from gri.data.recorded_ranges import NGSIM_CAR_FOLLOWING, SUMO_CAR_FOLLOWING, SUMO_MERGE
-from gri.data.scenes_file import Header, SceneBlock, names_of, writing
+from gri.data.scene_file.schema import Header, SceneBlock, names_of, writing
 from gri.data.store import DataConfig, scenes_of
-from gri.edges import EdgeType
 from gri.errors import InputError
 
 

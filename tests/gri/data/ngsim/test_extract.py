@@ -6,6 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from gri.core.dynamics import POINT_MASS_1D, POINT_MASS_2D
+from gri.core.graph import FOLLOWING, EdgeType
 from gri.data.ngsim import extract as ngsim_extract
 from gri.data.ngsim.defects import clean
 from gri.data.ngsim.extract import KINDS, extract, inspect
@@ -13,11 +15,9 @@ from gri.data.ngsim.lane_changing import groups
 from gri.data.ngsim.recordings import recordings
 from gri.data.ngsim.rules import Rules, splits_of
 from gri.data.ngsim.smoothing import Motion, smoothed
-from gri.data.scenes_file import header_of
-from gri.data.scenes_reading import read
-from gri.dynamics import POINT_MASS_1D, POINT_MASS_2D
+from gri.data.scene_file.reading import read
+from gri.data.scene_file.schema import header_of
 from gri.errors import InputError
-from gri.graph import FOLLOWING, EdgeType
 from tests.gri.data.ngsim.conftest import CLOCK, as_portal, as_text, merging, platoon
 
 YIELDING = (EdgeType.NONE, EdgeType.FOLLOW, EdgeType.YIELD)

@@ -2,9 +2,9 @@ import numpy as np
 import pytest
 import torch
 
+from gri.core.dynamics import POINT_MASS_1D, POINT_MASS_2D
 from gri.data.ngsim.defects import Tracks
 from gri.data.ngsim.smoothing import Smoothing, axis, smoothed
-from gri.dynamics import POINT_MASS_1D, POINT_MASS_2D
 
 DT = 0.2
 

@@ -1,0 +1,46 @@
+"""From what a person types to an order for scenes; every mistake is one line."""
+
+import re
+from collections.abc import Sequence
+from typing import Any
+
+import msgspec
+
+from cosim.scenes.rules import DT, KINDS, Kind, Rules
+from cosim.spec.loading import override
+from cosim.spec.scenario import Scenario, Simulated
+from gri.errors import InputError
+
+
+def changed(scenario: Scenario, name: str, step: float | None) -> Scenario:
+    """The scenario with another step. Errors: `InputError` where no scenes can be cut out of it."""
+    if not isinstance(scenario.background, Simulated):
+        raise InputError(f"{name}: its background is a recording, of which `gri ngsim scenes` cuts scenes")
+    step = scenario.step if step is None else step
+    every = DT / step if step > 0 else 0.0
+    if every < 1 - 1e-9 or abs(every - round(every)) > 1e-6:
+        raise InputError(f"got a step of {step:g} s, wanted one of which {DT} s is a multiple; give --step")
+    return override(scenario, {"step": step})
+
+
+def kinds_of(names: Sequence[str] | None) -> tuple[Kind, ...]:
+    """The kinds asked for, each once; all where none is."""
+    for name in names or ():
+        if name not in KINDS:
+            raise InputError(f"--kind: got {name!r}, wanted {' or '.join(KINDS)}")
+    return tuple(kind for kind in KINDS if not names or kind in names)
+
+
+def rules_of(*, at_most: Sequence[str], **changes: Any) -> Rules:
+    """The rules with what was given."""
+    shares: dict[str, str] = {}
+    for text in at_most:
+        kind, _, share = text.partition("=")
+        shares[kind] = share
+    given = {name: value for name, value in changes.items() if value is not None}
+    try:
+        return msgspec.convert(given | {"at_most": shares}, Rules, strict=False).checked()
+    except msgspec.ValidationError as error:
+        problem, _, location = str(error).partition(" - at ")
+        field = re.search(r"\$\.(\w+)", location)
+        raise InputError(f"--{field[1].replace('_', '-') if field else 'at-most'}: {problem}") from None

@@ -1,0 +1,62 @@
+"""When a group cannot, or need not, be driven any further; pure functions of what was seen."""
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from cosim.world.episode import COLUMNS, Ending
+from cosim.world.groups import SAME_LANE, MergeLanes
+from cosim.world.snapshot import Snapshot
+
+_S, _D, _V = (COLUMNS.index(name) for name in ("s", "d", "v"))
+
+State = Float[np.ndarray, "3 C"]
+Rows = Int[np.ndarray, " 3"]
+
+
+def car_following(
+    before: Float[np.ndarray, "G 3 C"],
+    now: Float[np.ndarray, "G 3 C"],
+    rows: Int[np.ndarray, "G 3"],
+    ahead: Int[np.ndarray, "G 2"],
+    third: bool = True,
+) -> list[Ending | None]:
+    """All three keep their lane and nobody comes between them, or else the group is broken up.
+
+    `ahead` are the rows of the next vehicles ahead of the first two. Without a `third` vehicle it is about these two.
+    """
+    pairs = 2 if third else 1
+    moved = np.abs(now[..., _D] - before[..., _D]) > SAME_LANE
+    broken = ahead[:, :pairs] != rows[:, 1 : pairs + 1]
+    if not moved.any() and not broken.any():
+        return [None] * len(now)
+    return [
+        Ending.LANE_LEFT if sideways else Ending.CUT_IN if between else None
+        for sideways, between in zip(*(np.logical_or.reduce(of, axis=1) for of in (moved, broken)), strict=True)
+    ]
+
+
+def merging(
+    before: State, now: State, snapshot: Snapshot, rows: Rows, lanes: MergeLanes, width: float, dt: float
+) -> Ending | None:
+    """Vehicle 0 is on its way to the target lane, 1 and 2 keep theirs; `width` [m] is that of vehicle 0.
+
+    LANE_END: its front would pass the end of its lane in the next step while its centre is still on it; beyond there is
+    no road to put it on. MERGED only says that vehicle 0 is inside the target lane now; how long it must stay there is
+    not decided here.
+    """
+    if (np.abs(now[1:, _D] - before[1:, _D]) > SAME_LANE).any():
+        return Ending.LANE_LEFT
+    if _between(snapshot, rows, lanes).any():
+        return Ending.CUT_IN
+    if now[0, _S] + now[0, _V] * dt >= lanes.source.end and now[0, _D] < lanes.boundary:
+        return Ending.LANE_END
+    inside = abs(now[0, _D] - lanes.target.centre) + 0.5 * width <= 0.5 * lanes.target.width
+    return Ending.MERGED if inside else None
+
+
+def _between(snapshot: Snapshot, rows: Rows, lanes: MergeLanes) -> Bool[np.ndarray, " V"]:
+    """Who else is in the target lane between the lag vehicle and the leader."""
+    there = np.abs(snapshot.d - lanes.target.centre) < SAME_LANE
+    there &= (snapshot.s > snapshot.s[rows[1]]) & (snapshot.s < snapshot.s[rows[2]])
+    there[rows] = False
+    return there

@@ -1,0 +1,1 @@
+"""Metrics and statistics: contacts, surrogate safety, relation labels, intervals and paired tests."""

@@ -1,0 +1,212 @@
+"""Surrogate safety and comfort measures of one drive: pure functions of trajectories, SI units.
+
+Trajectories are in the road frame of cosim/world/road_frame.py: `s` of the front bumper, `d` to the left. Vehicle i is
+*behind* j at an instant when s_i < s_j and the strips they cover across the road overlap, |d_i − d_j| < (w_i + w_j)/2.
+Measures that need a vehicle behind another are +inf (DRAC: 0) where there is none. PET and the distance between
+vehicles are those of oriented boxes (`cosim.measures.contacts`).
+
+Sources: TTC Hayward (1972); DRAC Cooper and Ferguson (1976); PET Allen, Shin and Cooper (1978); SUMO doc: SSM Device.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import permutations
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from cosim.measures.contacts import Boxes, box_centre, boxes_meet, net_gap, time_to_collision
+
+HARD_BRAKING = 4.5  # [m/s^2]
+JERK_QUANTILES = (0.5, 0.95, 0.99)
+PET_PARTS = 10  # of a step
+
+Times = Float[np.ndarray, " T"]
+
+
+@dataclass(frozen=True)
+class Track:
+    """One vehicle over time; poses are front-bumper centres, `xy` and `heading` in the world frame."""
+
+    time: Times
+    s: Times
+    d: Times
+    v: Times
+    a: Times
+    xy: Float[np.ndarray, "T 2"]
+    heading: Times
+    length: float
+    width: float
+
+    def __getitem__(self, rows: Bool[np.ndarray, " T"] | slice) -> "Track":
+        """The same vehicle at some of the instants."""
+        time, s, d, v, a, heading = (x[rows] for x in (self.time, self.s, self.d, self.v, self.a, self.heading))
+        return Track(time, s, d, v, a, self.xy[rows], heading, self.length, self.width)
+
+
+def behind(follower: Track, leader: Track) -> Bool[np.ndarray, " T"]:
+    """When the first is behind the second in its path."""
+    beside = np.abs(follower.d - leader.d) >= 0.5 * (follower.width + leader.width)
+    return ~beside & (follower.s < leader.s)
+
+
+def gap(follower: Track, leader: Track) -> Times:
+    """Net gap [m] where the first is behind the second; not below 0."""
+    distance = net_gap(follower.s, leader.s, np.array(leader.length))
+    return np.where(behind(follower, leader), np.maximum(distance, 0.0), np.inf)
+
+
+def ttc(follower: Track, leader: Track) -> Times:
+    """Time to collision [s] at constant speeds: gap / (v_i − v_j)."""
+    return time_to_collision(gap(follower, leader), follower.v, leader.v)
+
+
+def drac(follower: Track, leader: Track) -> Times:
+    """Deceleration rate to avoid a crash [m/s²]: (v_i − v_j)² / (2 gap), 0 where the gap does not close."""
+    closing = np.maximum(follower.v - leader.v, 0.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(closing > 0, closing**2 / (2 * gap(follower, leader)), 0.0)
+
+
+def time_headway(follower: Track, leader: Track) -> Times:
+    """Time [s] from front bumper to front bumper at the follower's speed: (s_j − s_i) / v_i."""
+    with np.errstate(divide="ignore"):
+        return np.where(behind(follower, leader), (leader.s - follower.s) / follower.v, np.inf)
+
+
+def pet(second: Track, first: Track, below: float = np.inf) -> float:
+    """Post-encroachment time [s]: the least time after which the second covers a place that the first has left.
+
+    It is the least τ ≥ 0 such that the box of the second at some t + τ overlaps the box of the first at t, with poses
+    interpolated to PET_PARTS parts of a step; +inf if the second never drives where the first was. In car following
+    that is the net time gap that was really kept, at a crossing the time between one leaving it and the other coming.
+    A value that is not `below` so many seconds may be +inf: it is not looked for.
+    """
+    if (second.s - second.length > first.s + first.width).all() and (np.diff(second.s) >= 0).all():
+        return np.inf  # it was ahead all the time
+    early, late = _fine(first), _fine(second)
+    count, part = len(early.xy), float(first.time[1] - first.time[0]) / PET_PARTS
+    for lag in range(0, count, PET_PARTS):
+        if (lag - PET_PARTS) * part >= below:
+            break
+        if _meet_after(late, early, lag):
+            exact = next(k for k in range(max(lag - PET_PARTS + 1, 0), lag + 1) if _meet_after(late, early, k))
+            return exact * float(first.time[1] - first.time[0]) / PET_PARTS  # not · part: it rounds otherwise
+    return np.inf
+
+
+def _fine(track: Track) -> Boxes:
+    """The boxes at PET_PARTS instants per step."""
+    steps = np.arange(len(track.time))
+    fine = np.arange(0, len(steps) - 1 + 1e-9, 1 / PET_PARTS)
+    x, y, heading = (np.interp(fine, steps, value) for value in (*track.xy.T, np.unwrap(track.heading)))
+    return _boxes(track, np.stack([x, y], axis=1), heading)
+
+
+def _boxes(track: Track, xy: Float[np.ndarray, "U 2"], heading: Float[np.ndarray, " U"]) -> Boxes:
+    return Boxes(xy, heading, np.full(len(xy), track.length), np.full(len(xy), track.width))
+
+
+def _meet_after(late: Boxes, early: Boxes, lag: int) -> bool:
+    """Whether one meets at any instant the other of `lag` fine instants before; who is far away is not tested."""
+    count = len(early.xy) - lag
+    reach = sum(float(boxes.length[0] + boxes.width[0]) for boxes in (late, early))
+    near = np.abs(late.xy[lag:] - early.xy[:count]).max(axis=-1) < reach
+    if not near.any():
+        return False
+    ours, theirs = (np.flatnonzero(near) + shift for shift in (lag, 0))
+    return bool(boxes_meet(late[ours], early[theirs]).any())
+
+
+def box_distance(one: Track, other: Track) -> Times:
+    """Distance [m] between the oriented boxes; 0 where they overlap."""
+    a, b = _corners(one), _corners(other)
+    apart = np.minimum(_corner_to_side(a, b), _corner_to_side(b, a))
+    return np.where(boxes_meet(_boxes(one, one.xy, one.heading), _boxes(other, other.xy, other.heading)), 0.0, apart)
+
+
+def _corners(track: Track) -> Float[np.ndarray, "T 4 2"]:
+    """The corners in order around the box."""
+    centre = box_centre(track.xy, track.heading, np.full(len(track.time), track.length))
+    forward = np.stack([np.cos(track.heading), np.sin(track.heading)], axis=1)
+    left = np.stack([-forward[:, 1], forward[:, 0]], axis=1)
+    corners = [
+        centre + 0.5 * (u * track.length * forward + w * track.width * left)
+        for u, w in ((1, 1), (-1, 1), (-1, -1), (1, -1))
+    ]
+    return np.stack(corners, axis=1)
+
+
+def _corner_to_side(corners: Float[np.ndarray, "T 4 2"], box: Float[np.ndarray, "T 4 2"]) -> Times:
+    """Least distance from any corner of one box to any side of the other."""
+    side = np.roll(box, -1, axis=1) - box
+    offset = corners[:, :, None] - box[:, None]  # Shape: (T, corner, side, 2)
+    share = (offset * side[:, None]).sum(-1) / (side**2).sum(-1)[:, None]
+    nearest = np.clip(share, 0, 1)[..., None] * side[:, None]
+    return np.linalg.norm(offset - nearest, axis=-1).min(axis=(1, 2))
+
+
+def jerk(track: Track) -> Float[np.ndarray, " U"]:
+    """Change of acceleration between instants [m/s³]; one value less than instants."""
+    return np.diff(track.a) / np.diff(track.time)
+
+
+def hard_brakings(track: Track) -> int:
+    """How often the vehicle begins to brake harder than HARD_BRAKING."""
+    hard = track.a < -HARD_BRAKING
+    return int(hard[0]) + int((hard[1:] & ~hard[:-1]).sum())
+
+
+def lateral_change(one: Track, other: Track) -> float:
+    """Δy [m] of the paper (Sec. VI-E): |y_1 − y_0| at the end minus at the start; negative when they come together."""
+    apart = np.abs(one.d - other.d)
+    return float(apart[-1] - apart[0])
+
+
+def effect_on(follower: Track) -> dict[str, float]:
+    """What a drive did to a vehicle behind it: its hardest acceleration and lost speed after the first instant.
+
+    Keys: follower_min_acceleration [m/s²], follower_speed_loss [m/s] from the first instant to the slowest one.
+    """
+    return {
+        "follower_min_acceleration": float(follower.a[1:].min(initial=np.inf)),
+        "follower_speed_loss": float(follower.v[0] - follower.v.min()),
+    }
+
+
+def conflicts(tracks: Sequence[Track], concerned: Sequence[int]) -> dict[str, float]:
+    """The worst value of each safety measure over all pairs with a concerned vehicle, while both are there.
+
+    Keys: min_ttc, max_drac, min_pet, min_headway [s], min_gap [m] (between boxes).
+    """
+    pairs = [_together(tracks[i], tracks[j]) for i, j in permutations(range(len(tracks)), 2) if {i, j} & set(concerned)]
+    pairs = [(i, j) for i, j in pairs if len(i.time) > 1]
+    least = np.inf
+    for i, j in pairs:
+        least = min(least, pet(i, j, below=least))
+    return {
+        "min_ttc": min((float(ttc(i, j).min()) for i, j in pairs), default=np.inf),
+        "max_drac": max((float(drac(i, j).max()) for i, j in pairs), default=0.0),
+        "min_pet": least,
+        "min_headway": min((float(time_headway(i, j).min()) for i, j in pairs), default=np.inf),
+        "min_gap": min((float(box_distance(i, j).min()) for i, j in pairs), default=np.inf),
+    }
+
+
+def _together(one: Track, other: Track) -> tuple[Track, Track]:
+    """Both at the instants at which both are there."""
+    if np.array_equal(one.time, other.time):
+        return one, other
+    times = np.intersect1d(one.time, other.time)
+    return one[np.isin(one.time, times)], other[np.isin(other.time, times)]
+
+
+def comfort(tracks: Sequence[Track]) -> dict[str, float]:
+    """Of all these vehicles: jerk_50, jerk_95, jerk_99 (quantiles of |jerk|), min_acceleration, hard_brakings."""
+    size = np.abs(np.concatenate([jerk(track) for track in tracks]))
+    quantiles = np.quantile(size, JERK_QUANTILES) if len(size) else np.zeros(len(JERK_QUANTILES))
+    return {
+        **{f"jerk_{100 * q:.0f}": float(value) for q, value in zip(JERK_QUANTILES, quantiles, strict=True)},
+        "min_acceleration": min(float(track.a.min()) for track in tracks),
+        "hard_brakings": float(sum(hard_brakings(track) for track in tracks)),
+    }

@@ -1,0 +1,1 @@
+"""Processes and the terminal: workers that isolate crashes, forks of the simulation, progress, output."""

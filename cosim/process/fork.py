@@ -1,0 +1,66 @@
+"""Running something in a copy of this process, SUMO and all, while the original goes on.
+
+A copy made by `os.fork` shares the past with the original bit for bit and costs milliseconds. Systems without fork
+replay the past from t = 0 instead (see `cosim.loop.closed_loop`); both give the same episodes.
+"""
+
+import os
+import pickle
+import signal
+import traceback
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+T = TypeVar("T")
+
+CAN_FORK = hasattr(os, "fork")
+
+
+class BranchError(RuntimeError):
+    """The copy failed or died."""
+
+
+@dataclass(frozen=True)
+class Branch(Generic[T]):
+    """A running copy; `result` waits for it."""
+
+    pid: int
+    pipe: int
+
+    def result(self) -> T:
+        """What the function returned in the copy; BranchError if it raised or the process died."""
+        with os.fdopen(self.pipe, "rb") as stream:
+            answer = stream.read()
+        _, status = os.waitpid(self.pid, 0)
+        if not answer:
+            number = os.waitstatus_to_exitcode(status)
+            cause = signal.Signals(-number).name if number < 0 else f"exit code {number}"
+            raise BranchError(f"the branched simulation died without an answer ({cause})")
+        failed, value = pickle.loads(answer)
+        if failed:
+            raise BranchError(f"the branched simulation failed:\n{value}")
+        return value
+
+
+def fork(function: Callable[[], T]) -> Branch[T]:
+    """Run the function in a forked copy of this process; its result must be picklable."""
+    read, write = os.pipe()
+    with warnings.catch_warnings():
+        # Python warns of forking beside threads; the copy runs SUMO and one-threaded torch only, and never returns.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        pid = os.fork()
+    if pid:
+        os.close(write)
+        return Branch(pid, read)
+    try:
+        os.close(read)
+        try:
+            answer = pickle.dumps((False, function()))
+        except BaseException:
+            answer = pickle.dumps((True, traceback.format_exc()))
+        with os.fdopen(write, "wb") as stream:
+            stream.write(answer)
+    finally:
+        os._exit(0)  # neither Python's nor SUMO's clean-up may run twice

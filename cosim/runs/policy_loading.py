@@ -1,0 +1,89 @@
+"""From the driver a scenario names to a policy that fits it."""
+
+from pathlib import Path
+
+from cosim.spec import scenario as spec
+from cosim.loop.driving import Driver
+from cosim.world.road_frame import NOMINAL_LENGTH
+from cosim.spec.input_files import checkpoint_path
+from cosim.runs.user_policy import own_policy
+from gri import checkpoint
+from gri.core.dynamics import DUBINS, POINT_MASS_1D, DynamicsName
+from gri.errors import InputError
+from gri.core.graph import FOLLOWING, LANE_CHANGING, Vocabulary
+from gri.core.merging_policy import MergingDriver
+from gri.networks.model import RelationalModel
+from gri.core.policy import ConstantVelocity, IntelligentDriver, Policy
+
+
+def driver_of(scenario: spec.Scenario) -> Driver | None:
+    """The policy that a scenario's driver names, under the graph the scenario says; None where SUMO drives."""
+    policy = policy_of(scenario)
+    if policy is None:
+        return None
+    return Driver(_name(scenario.policy), policy, scenario.graph, scenario.steps(scenario.reinfer_s))
+
+
+def _name(policy: spec.Driver) -> str:
+    """The kind of policy; of a checkpoint, what it was trained for."""
+    if isinstance(policy, spec.Trained):
+        return checkpoint.objective(checkpoint_path(policy.checkpoint))
+    return spec.tag_of(policy)
+
+
+def policy_of(scenario: spec.Scenario) -> Policy | None:
+    """The policy that a scenario's driver names; None where the group is left to SUMO.
+
+    Raises InputError where a checkpoint does not fit the group rule, the step or the history.
+    """
+    in_lane = isinstance(scenario.group, spec.CarFollowing)
+    match scenario.policy:
+        case spec.LeftToSumo():
+            return None
+        case spec.Idm():
+            model = IntelligentDriver(scenario.step, length=NOMINAL_LENGTH)
+            policy: Policy = model if in_lane else MergingDriver(model)
+        case spec.ConstantVelocity():
+            policy = ConstantVelocity(scenario.step, POINT_MASS_1D if in_lane else DUBINS)
+        case spec.Trained(checkpoint=name):
+            path = checkpoint_path(name)
+            model = checkpoint.load(path)
+            _check_vocabulary(model, scenario.group, path)
+            policy = model
+        case spec.Own() as own:
+            policy = own_policy(own, scenario.step)
+    _check_fit(policy, scenario)
+    return policy
+
+
+def _wanted(rule: spec.GroupRule) -> tuple[DynamicsName, Vocabulary]:
+    """State layout and edge vocabulary that a group rule is driven with."""
+    if isinstance(rule, spec.CarFollowing):
+        return DynamicsName.POINT_MASS_1D, FOLLOWING
+    return DynamicsName.DUBINS, LANE_CHANGING
+
+
+def _check_vocabulary(model: RelationalModel, rule: spec.GroupRule, path: Path) -> None:
+    wanted = _wanted(rule)[1]
+    if model.config.vocabulary != wanted:
+        raise InputError(
+            f"{path}: got the edge vocabulary ({', '.join(model.config.vocabulary)}), the group rule"
+            f" {spec.tag_of(rule)!r} wants ({', '.join(wanted)}); choose another policy.checkpoint"
+        )
+
+
+def _check_fit(policy: Policy, scenario: spec.Scenario) -> None:
+    layout = _wanted(scenario.group)[0]
+    if policy.dynamics.name is not layout:
+        raise InputError(
+            f"policy: got a policy for {policy.dynamics.name} states {policy.dynamics.state}, the group rule"
+            f" {spec.tag_of(scenario.group)!r} wants {layout} states; choose another policy"
+        )
+    if abs(policy.dt - scenario.step) > 1e-9:
+        raise InputError(f"step: got {scenario.step:g} s, the policy acts every {policy.dt:g} s; set step to that")
+    if policy.history_steps > scenario.steps(scenario.history):
+        needed = policy.history_steps * scenario.step
+        raise InputError(
+            f"history: got {scenario.history:g} s, the policy wants {policy.history_steps} states; set history to at"
+            f" least {needed:g}"
+        )

@@ -1,0 +1,191 @@
+"""A run on disk: Parquet tables for steps, groups and events, a manifest, and one picture.
+
+A run folder appears whole or not at all: it is written beside its place and then moved there.
+"""
+
+import json
+import os
+import platform
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from cosim.world.episode import COLUMNS, Ending, Episode, EventKind
+from cosim.spec.input_files import sha256
+from gri.errors import InputError
+from gri.core.graph import EdgeType, pairs
+
+TABLES = ("steps", "groups", "events", "graphs")
+
+
+def steps_table(episodes: Sequence[Episode]) -> pd.DataFrame:
+    """One row per episode, instant and vehicle; `gap` and `ttc` are towards the next vehicle of the group."""
+    return pd.concat([_steps(number, episode) for number, episode in enumerate(episodes)], ignore_index=True)
+
+
+def _steps(number: int, episode: Episode) -> pd.DataFrame:
+    n = len(episode.time)
+    towards = {name: np.full((n, 3), np.nan) for name in ("gap", "ttc")}
+    for name in towards:
+        towards[name][:, episode.order[:2]] = getattr(episode, name)
+    return pd.DataFrame(
+        {
+            "episode": np.int32(number),
+            "driver": episode.driver,
+            "time": np.repeat(episode.time, 3),
+            "role": np.tile(np.arange(3, dtype=np.int8), n),
+            "vehicle": list(episode.group.ids) * n,
+            "present": episode.valid.ravel(),
+            "driven": episode.driven.ravel(),
+            "under_way": np.repeat(episode.under_way, 3),
+            **{name: episode.state[..., k].ravel() for k, name in enumerate(COLUMNS)},
+            "jerk": episode.jerk.ravel(),
+            **{name: values.ravel() for name, values in towards.items()},
+        }
+    )
+
+
+def groups_table(episodes: Sequence[Episode], expected: Mapping[tuple[int, int], EdgeType]) -> pd.DataFrame:
+    """One row per episode: who, how it ended, what the policy believed, and the safety figures of the drive."""
+    return pd.DataFrame([_group(number, episode, expected) for number, episode in enumerate(episodes)])
+
+
+def _group(number: int, episode: Episode, expected: Mapping[tuple[int, int], EdgeType]) -> dict[str, Any]:
+    way = episode.under_way
+    after = (episode.time > episode.end + 1e-6)[:, None] & episode.valid[:, :2]
+    owned_jerk = np.abs(episode.jerk[way][1:, :2])
+    return {
+        "episode": np.int32(number),
+        "driver": episode.driver,
+        **{f"vehicle_{role}": vehicle for role, vehicle in enumerate(episode.group.ids)},
+        **{f"length_{role}": float(length) for role, length in enumerate(episode.length)},
+        **{f"width_{role}": float(width) for role, width in enumerate(episode.width)},
+        "rule": "car_following" if episode.order == (0, 1, 2) else "merge",
+        "taken_at": episode.group.time,
+        "driven_for": episode.end - episode.group.time,
+        "ending": episode.ending.value,
+        "success": episode.success,
+        "contact": episode.ending is Ending.CONTACT,
+        **_belief(episode, expected),
+        "min_gap": float(np.where(episode.in_path, episode.gap, np.inf)[way].min()),
+        "min_ttc": float(episode.ttc[way].min()),
+        "mean_speed": float(episode.feature("v")[way][:, :2].mean()),
+        "jerk_within_3": float((owned_jerk <= 3).mean()),
+        "min_acceleration": float(episode.feature("a")[way][:, :2].min()),
+        "min_acceleration_after": float(np.where(after, episode.feature("a")[:, :2], np.inf).min()),
+        "hard_braking_after": sum(event.kind is EventKind.HARD_BRAKING for event in episode.events),
+    }
+
+
+def _belief(episode: Episode, expected: Mapping[tuple[int, int], EdgeType]) -> dict[str, Any]:
+    """The inferred type and its probability for each pair, and whether the whole graph is the expected one."""
+    if episode.graph is None:
+        return {}
+    graph = episode.graph
+    types = [graph.vocabulary[k] for k in graph.map[0].tolist()]
+    probabilities = graph.probs[0].max(-1).values.tolist()
+    belief: dict[str, Any] = {}
+    for (i, j), kind, p in zip(pairs(3), types, probabilities, strict=True):
+        belief[f"edge_{i}_{j}"] = kind.value
+        belief[f"edge_{i}_{j}_p"] = p
+    belief["graph_as_expected"] = all(
+        kind is expected.get(pair, EdgeType.NONE) for pair, kind in zip(pairs(3), types, strict=True)
+    )
+    return belief
+
+
+def graphs_table(episodes: Sequence[Episode]) -> pd.DataFrame:
+    """One row per episode, inference and pair: the type the policy went by, and its probability."""
+    rows = [
+        (np.int32(number), episode.driver, time, i, j, graph.vocabulary[k].value, p)
+        for number, episode in enumerate(episodes)
+        if (graph := episode.graph) is not None
+        for time, types, probabilities in zip(
+            episode.graph_time, graph.map.tolist(), graph.probs.max(-1).values.tolist(), strict=True
+        )
+        for (i, j), k, p in zip(pairs(3), types, probabilities, strict=True)
+    ]
+    return pd.DataFrame(rows, columns=["episode", "driver", "time", "sender", "receiver", "type", "probability"])
+
+
+def labelled(table: pd.DataFrame, labels: Mapping[str, Any]) -> pd.DataFrame:
+    """The table with a constant column per label in front; None is a missing number."""
+    columns = {name: np.nan if value is None else value for name, value in labels.items()}
+    return pd.concat([pd.DataFrame(columns, index=table.index), table], axis=1)
+
+
+def events_table(episodes: Sequence[Episode]) -> pd.DataFrame:
+    """One row per event."""
+    rows = [
+        (
+            np.int32(number),
+            episode.driver,
+            event.time,
+            event.kind.value,
+            " ".join(event.vehicles),
+            event.detail,
+        )
+        for number, episode in enumerate(episodes)
+        for event in episode.events
+    ]
+    return pd.DataFrame(rows, columns=["episode", "driver", "time", "kind", "vehicles", "detail"])
+
+
+def manifest(arguments: Mapping[str, Any], inputs: Mapping[str, Path], folder: Path) -> dict[str, Any]:
+    """Versions, arguments and hashes: what it takes to get the same tables again, and to see that they are."""
+    packages = ("gri-cosim", "libsumo", "torch", "numpy", "pandas", "pyarrow")
+    return {
+        "arguments": dict(arguments),
+        "versions": {"python": platform.python_version(), **{name: version(name) for name in packages}},
+        "machine": {"system": platform.system(), "processor": platform.machine(), "cores": os.cpu_count()},
+        "inputs": {name: {"file": path.name, "sha256": sha256(path)} for name, path in inputs.items()},
+        "results": {f"{name}.parquet": sha256(folder / f"{name}.parquet") for name in TABLES},
+    }
+
+
+def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame]) -> None:
+    for name in TABLES:
+        tables[name].to_parquet(folder / f"{name}.parquet", index=False)
+
+
+def write_manifest(folder: Path, content: Mapping[str, Any]) -> None:
+    (folder / "manifest.json").write_text(json.dumps(content, indent=2) + "\n")
+
+
+def read_tables(folder: Path) -> dict[str, pd.DataFrame]:
+    """The tables of a run folder; an InputError says what is missing."""
+    for name in TABLES:
+        if not (folder / f"{name}.parquet").is_file():
+            raise InputError(f"{folder}: no {name}.parquet in it; expected a run folder written by `cosim run`")
+    return {name: pd.read_parquet(folder / f"{name}.parquet") for name in TABLES}
+
+
+@contextmanager
+def run_folder(wanted: Path) -> Iterator[Path]:
+    """A folder to write a run into; it moves to `wanted` on success and is removed otherwise."""
+    if wanted.exists():
+        raise InputError(f"{wanted} exists already; give another --out or remove it")
+    partial = wanted.with_name(wanted.name + ".partial")
+    try:
+        shutil.rmtree(partial, ignore_errors=True)
+        partial.mkdir(parents=True)
+    except OSError as error:
+        raise InputError(f"cannot write to {wanted}: {error.strerror}; give another --out") from None
+    try:
+        yield partial
+        os.replace(partial, wanted)
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+
+
+def next_folder(parent: Path, name: str) -> Path:
+    """`parent/name`, or with the first number behind it that is free."""
+    candidates = (parent / (name if k == 1 else f"{name}-{k}") for k in range(1, 10**6))
+    return next(path for path in candidates if not path.exists())

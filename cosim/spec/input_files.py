@@ -1,0 +1,84 @@
+"""The files a scenario names: net, checkpoint, policy; found and hashed without importing torch or SUMO."""
+
+import hashlib
+from importlib.util import find_spec
+from pathlib import Path
+from xml.etree import ElementTree
+
+from cosim.spec.scenario import Own, Replay, Scenario, Trained
+from gri.errors import InputError
+from gri.resources import checkpoint as released
+from gri.resources import checkpoints, shipped
+
+
+def find_net(name: str) -> Path:
+    """The built net of that name (shipped in `sumo_nets/`) or path; checked to be whole XML of the right kind."""
+    path = next((p for p in (Path(name), shipped("sumo_nets", name, f"{name}.net.xml")) if p.is_file()), None)
+    if path is None:
+        known = ", ".join(sorted(p.parent.name for p in shipped("sumo_nets").glob("*/*.net.xml")))
+        raise InputError(f"net: no net {name!r}: expected the path of a .net.xml file or a shipped name ({known})")
+    try:
+        root = ElementTree.parse(path).getroot()
+    except ElementTree.ParseError as error:
+        raise InputError(f"{path}:{error.position[0]}: not well-formed XML ({error}); build the net again") from None
+    if root.tag != "net":
+        raise InputError(f"{path}: got a <{root.tag}> file, expected a SUMO <net>; build one with netconvert")
+    return path
+
+
+def input_files(scenario: Scenario) -> dict[str, Path]:
+    """Every file besides the scenario itself that a run depends on: its net, checkpoint, policy's source, recording."""
+    files = {"net": find_net(scenario.net)}
+    if isinstance(scenario.policy, Trained):
+        files["checkpoint"] = checkpoint_path(scenario.policy.checkpoint)
+    if isinstance(scenario.policy, Own):
+        files["policy"] = source_path(scenario.policy)
+    if isinstance(scenario.background, Replay):
+        files["recording"] = recording_path(scenario.background)
+    return files
+
+
+def recording_path(background: Replay) -> Path:
+    """The file that a background replays."""
+    if not background.recording:
+        raise InputError("background.recording: no recording is named; give one with --recording FILE")
+    path = Path(background.recording)
+    if not path.is_file():
+        raise InputError(f"background.recording: no file {path}, seen from {Path.cwd()}; give an NGSIM trajectory file")
+    return path
+
+
+def source_path(policy: Own) -> Path:
+    """The Python file that an own policy stands in."""
+    place = policy.object.rpartition(":")[0]
+    if place.endswith(".py"):
+        path = Path(place)
+    else:
+        try:
+            found = find_spec(place)
+        except ModuleNotFoundError:
+            found = None
+        if found is None or not found.origin:
+            raise InputError(
+                f"policy.object: no module {place!r} is installed; for a file of your own write 'file.py:Name'"
+            )
+        path = Path(found.origin)
+    if not path.is_file():
+        raise InputError(f"policy.object: no file {place!r}, seen from {Path.cwd()}; give the path of a Python file")
+    return path
+
+
+def checkpoint_path(name: str) -> Path:
+    """The file of a checkpoint given by path or by the name of a released one."""
+    for path in (Path(name), released(name)):
+        if path.is_file():
+            return path
+    raise InputError(
+        f"policy.checkpoint: no checkpoint {name!r}: expected a path or a released name ({', '.join(checkpoints())});"
+        " make one with `gri train`"
+    )
+
+
+def sha256(path: Path) -> str:
+    """SHA-256 of a file's content, in hexadecimal."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -1,0 +1,138 @@
+"""One chunk of a stress test: one simulation, at each round a branch per cell and policy."""
+
+import dataclasses
+import json
+import os
+import tempfile
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import torch
+from msgspec.structs import replace
+
+from cosim.loop.closed_loop import Files, RunningRoad, Trunk, simulation
+from cosim.loop.driving import Driver, Start, drive, start
+from cosim.loop.perturbed_round import Intervention, prepare
+from cosim.loop.round_recorder import Round
+from cosim.process.fork import CAN_FORK, fork
+from cosim.runs.policy_loading import driver_of
+from cosim.spec.input_files import find_net
+from cosim.spec.scenario import Scenario
+from cosim.stress.plan import Cell, Chunk, perturbed
+from cosim.stress.result_rows import row_of
+from cosim.sumo import SumoError
+from cosim.traffic.route_file import route_file
+from cosim.world.groups import SAME_LANE, Group
+from cosim.world.snapshot import Snapshot
+from gri.errors import InputError
+
+APART = 100.0  # [m] along one lane between two groups of a round, so that they do not meet
+BETWEEN_ROUNDS = 4  # looks, a second each, that are passed over after a round
+
+Rows = list[dict[str, Any]]
+
+
+def stress_chunk(chunk: Chunk, paths: Mapping[str, Path], facts: Mapping[str, Any], tell: Callable[..., None]) -> None:
+    """Compute a chunk and write the rows of each of its parts to the path of its key, with the facts beside them.
+
+    Every file appears whole or not at all. The seconds it took are shared among the parts evenly.
+    """
+    torch.set_num_threads(1)
+    began, parts = time.monotonic(), chunk.parts
+    rows = pd.DataFrame(rows_of(chunk, tell)).assign(seed=chunk.scenario.seed)
+    rows = rows.astype({"intensity": float})  # of nominal rows alone it would be a column of objects
+    seconds = round((time.monotonic() - began) / len(parts), 2)
+    for part in parts:
+        path, (name,) = paths[part.key], part.policies
+        mine = rows[(rows["policy"] == name) & (rows["perturbation"] == part.cells[0].perturbation)]
+        partial = path.with_suffix(".partial")
+        path.with_suffix(".json").write_text(json.dumps({**facts, "seconds": seconds}) + "\n")
+        mine.assign(chunk=part.key).to_parquet(partial, index=False)
+        os.replace(partial, path)
+
+
+def rows_of(chunk: Chunk, tell: Callable[..., None]) -> Rows:
+    """A row per start, cell and policy."""
+    if not CAN_FORK:
+        raise InputError("stress tests share one warm-up by forking the process, which this system cannot")
+    scenario, rows, starts = chunk.scenario, [], 0
+    drivers = {name: driver_of(replace(scenario, policy=policy)) for name, policy in chunk.policies.items()}
+    cells = {cell: perturbed(scenario, cell) for cell in chunk.cells}
+    end = scenario.traffic.warm_up + scenario.time_limit
+    with tempfile.TemporaryDirectory() as scratch:
+        files = Files(find_net(scenario.net), Path(scratch, "routes.rou.xml"), Path(scratch, "sumo.log"))
+        files.routes.write_text(route_file(scenario.traffic, scenario.seed, end))
+        try:
+            with simulation(scenario, files) as road:
+                trunk = Trunk(road, scenario)
+                trunk.warm_up(lambda *_: None)
+                while starts < chunk.starts and trunk.time < end:
+                    history = trunk.look()
+                    task = apart(trunk.find(history, limit=chunk.starts - starts), history[-1])
+                    if task.groups:
+                        starts += len(task.groups)
+                        rows += branches(road, history, task, cells, drivers)
+                        tell("starts", starts, chunk.starts)
+                        for _ in range(BETWEEN_ROUNDS):
+                            trunk.look()
+        except SumoError as error:
+            raise InputError(f"SUMO refused the scenario: {error}") from error
+    if starts < chunk.starts:
+        raise InputError(
+            f"group: found {starts} of {chunk.starts} starts within {scenario.time_limit:g} s (seed {scenario.seed});"
+            " loosen the group rule's gaps or raise time_limit"
+        )
+    return rows
+
+
+def apart(task: Round, now: Snapshot) -> Round:
+    """The round without groups that are within APART of one before them in the same lane."""
+    kept: list[Group] = []
+    place = {vehicle: (float(s), float(d)) for vehicle, s, d in zip(now.ids, now.s, now.d, strict=True)}
+
+    def near(one: Group, other: Group) -> bool:
+        pairs = [(place[a], place[b]) for a in one.ids for b in other.ids]
+        return any(abs(a[0] - b[0]) < APART and abs(a[1] - b[1]) < SAME_LANE for a, b in pairs)
+
+    for group in task.groups:
+        if not any(near(group, other) for other in kept):
+            kept.append(group)
+    return dataclasses.replace(task, groups=tuple(kept))
+
+
+def branches(
+    road: RunningRoad,
+    history: Sequence[Snapshot],
+    task: Round,
+    cells: dict[Cell, Scenario],
+    drivers: dict[str, Driver | None],
+) -> Rows:
+    """The rows of one round, each cell and policy in a branch of its own."""
+    rows: Rows = []
+    for cell, scenario in cells.items():
+        intervention = prepare(scenario, history[-1], task)
+        for name, driver in drivers.items():
+            labels = {"policy": name, "perturbation": cell.perturbation, "intensity": cell.intensity}
+            found = [_labels(group) | {"infeasible": reason.value} for group, reason in intervention.excluded]
+            if intervention.task.groups:
+                begin = start(road.frame, history, intervention.task, driver, intervention)
+                found += fork(lambda: branch_rows(road, begin, intervention, history[-1])).result()  # noqa: B023
+            rows += [labels | row for row in found]
+    return rows
+
+
+def branch_rows(road: RunningRoad, begin: Start, intervention: Intervention, before: Snapshot) -> Rows:
+    """Drive a perturbed round; this changes the world."""
+    episodes = drive(road.world, road.frame, begin)
+    trace, owned, gone = intervention.trace, begin.task.owned, intervention.third_gone
+    return [
+        _labels(episode.group) | {"infeasible": ""} | row_of(episode, change, before, trace, owned, gone)
+        for episode, change in zip(episodes, intervention.changes, strict=True)
+    ]
+
+
+def _labels(group: Group) -> dict[str, Any]:
+    return {"start": " ".join(group.ids), "taken_at": group.time}

@@ -1,0 +1,129 @@
+"""A whole stress test: its chunks in worker processes, then tables and figures."""
+
+import json
+import multiprocessing
+import platform
+import subprocess
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor, wait
+from dataclasses import dataclass
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pandas as pd
+
+from cosim.process.worker_process import run_in_worker
+from cosim.spec.input_files import checkpoint_path, find_net, sha256
+from cosim.spec.scenario import Merge, Trained
+from cosim.stress import estimates, figures, markdown
+from cosim.stress.plan import NOMINAL, PACKAGES, Chunk
+
+Tell = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class Made:
+    """How rows were made: the seconds of workers that they took, and the commits of the source trees."""
+
+    seconds: float
+    commits: list[str]
+
+
+def run_stress(chunks: Sequence[Chunk], folder: Path, workers: int, tell: Tell) -> tuple[pd.DataFrame, Made]:
+    """The rows of all chunks in their order, and how they were made; finished parts are read from the folder."""
+    kept = folder / "chunks"
+    kept.mkdir(parents=True, exist_ok=True)
+    paths = {part.key: kept / f"{part.key}.parquet" for chunk in chunks for part in chunk.parts}
+    missing = {chunk.key: [part for part in chunk.parts if not paths[part.key].is_file()] for chunk in chunks}
+    starts = {chunk.key: 0 if missing[chunk.key] else chunk.starts for chunk in chunks}
+    total, facts = sum(chunk.starts for chunk in chunks), {"commit": _commit()}
+    tell("starts", sum(starts.values()), total)
+
+    def compute(chunk: Chunk) -> None:
+        def told(_: str, done: int, __: int) -> None:
+            starts[chunk.key] = done
+            tell("starts", sum(starts.values()), total)
+
+        wanted, log = chunk.around(missing[chunk.key]), kept / f"{chunk.key}.log"
+        run_in_worker("cosim.stress.chunk:stress_chunk", wanted, paths, facts, log=log, tell=told)
+
+    with ThreadPoolExecutor(workers) as pool:
+        _finish([pool.submit(compute, chunk) for chunk in chunks if missing[chunk.key]])
+    rows = pd.concat([_joined(chunk, paths) for chunk in chunks], ignore_index=True)
+    made = [json.loads(path.with_suffix(".json").read_text()) for path in paths.values()]
+    return rows, Made(sum(part["seconds"] for part in made), sorted({part["commit"] for part in made}))
+
+
+def _joined(chunk: Chunk, paths: Mapping[str, Path]) -> pd.DataFrame:
+    """The rows of a chunk's parts, in the order of its cells and policies."""
+    rows = pd.concat([pd.read_parquet(paths[part.key]) for part in chunk.parts], ignore_index=True)
+    cells = {(cell.perturbation, cell.intensity): k for k, cell in enumerate(chunk.cells)}
+    graded = zip(rows["perturbation"], rows["intensity"], strict=True)
+    place = pd.Series([cells[kind, None if np.isnan(x) else x] for kind, x in graded])
+    return rows.loc[place.sort_values(kind="stable").index]
+
+
+def _finish(futures: Sequence[Future[None]]) -> None:
+    """Wait for all; on the first failure, or Ctrl-C, end the workers of the others."""
+    try:
+        wait(futures, return_when="FIRST_EXCEPTION")
+        for future in futures:
+            if future.done():
+                future.result()
+    except BaseException:
+        running = [future for future in futures if not future.cancel()]
+        while wait(running, timeout=0.2).not_done:  # again and again: one may be about to start its worker
+            for process in multiprocessing.active_children():
+                process.terminate()
+        raise
+
+
+def publish(chunks: Sequence[Chunk], rows: pd.DataFrame, folder: Path, facts: dict[str, Any]) -> list[Path]:
+    """Write rows, estimates, differences, the report and the figures; returns the files."""
+    scenario, across = chunks[0].scenario, isinstance(chunks[0].scenario.group, Merge)
+    kinds = [kind for kind in dict.fromkeys(rows["perturbation"]) if kind != NOMINAL]
+    tables = {
+        "episodes": rows,
+        "counts": estimates.counts(rows),
+        "estimates": estimates.estimates(rows),
+        "differences": estimates.differences(rows),
+    }
+    for name, table in tables.items():
+        table.to_parquet(folder / f"{name}.parquet", index=False)
+    title = f"Stress test: {scenario.description or scenario.net}"
+    report = folder / "stress.md"
+    report.write_text(
+        markdown.markdown(title, tables["counts"], tables["estimates"], tables["differences"], kinds), encoding="utf-8"
+    )
+    drawn = figures.draw(tables["estimates"], kinds, folder / "figures", across=across)
+    made = folder / "stress.json"
+    made.write_text(json.dumps(facts | provenance(chunks), indent=1) + "\n")
+    return [report, *(folder / f"{name}.parquet" for name in tables), *drawn, made]
+
+
+def provenance(chunks: Sequence[Chunk]) -> dict[str, Any]:
+    """What it takes to get the same rows again."""
+    trained = {name: driver for name, driver in chunks[0].policies.items() if isinstance(driver, Trained)}
+    return {
+        "seeds": sorted({chunk.scenario.seed for chunk in chunks}),
+        "scenario": msgspec.to_builtins(chunks[0].scenario),
+        "policies": msgspec.to_builtins(chunks[0].policies),
+        "cells": [f"{c.perturbation} {c.intensity}" for c in dict.fromkeys(c for chunk in chunks for c in chunk.cells)],
+        "net_sha256": sha256(find_net(chunks[0].scenario.net)),
+        "checkpoint_sha256": {name: sha256(checkpoint_path(driver.checkpoint)) for name, driver in trained.items()},
+        "versions": {"python": platform.python_version(), **{name: version(name) for name in PACKAGES}},
+    }
+
+
+def _commit() -> str:
+    """The commit of the source tree; "unknown" outside of one."""
+    try:
+        found = subprocess.run(
+            ["git", "rev-parse", "HEAD"], cwd=Path(__file__).parent, capture_output=True, text=True, check=True
+        )
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return found.stdout.strip()

@@ -1,0 +1,1 @@
+"""Traffic with nobody taken over, held against recordings: targets, calibration, realism."""

@@ -1,0 +1,60 @@
+"""The files and the table of a comparison with a recording."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import pandas as pd
+from rich.markup import escape
+from rich.table import Table
+
+from cosim.runs.report import DRIVER_NAMES
+from cosim.studies.distribution_plots import picture
+from cosim.studies.realism import Distance, distances, frame_of
+from gri.errors import InputError
+
+
+def write(folder: Path, simulated: pd.DataFrame, recorded: pd.DataFrame) -> Table:
+    """Write `distances.csv` and `realism.png` and return the table a person reads.
+
+    Simulated traffic is compared as a whole and lane by lane; a run driver by driver, each with the whole recording.
+    """
+    if "driver" in simulated:
+        groups = simulated.groupby("driver", sort=False)
+        parts = {DRIVER_NAMES.get(str(name), str(name)): (part, recorded) for name, part in groups}
+        curves = {name: part for name, (part, _) in parts.items()}
+        compared = parts
+    else:
+        parts = {f"lane {lane:g}": pair for lane, pair in _by_lane(simulated, recorded).items()}
+        curves = {"simulated": simulated}
+        compared = {"all": (simulated, recorded), **parts}
+    found = [distance for part, pair in compared.items() for distance in distances(part, *pair)]
+    if not found:
+        raise InputError("--against: nothing in it can be compared; are the lanes and the stretch the right ones?")
+    frame_of(found).to_csv(folder / "distances.csv", index=False, float_format="%.4f")
+    picture(curves, recorded, parts, folder / "realism.png")
+    return _table(found)
+
+
+def _by_lane(simulated: pd.DataFrame, recorded: pd.DataFrame) -> dict[float, tuple[pd.DataFrame, pd.DataFrame]]:
+    shared = sorted(set(simulated["lane"].dropna()) & set(recorded["lane"].dropna()))
+    return {lane: (simulated[simulated["lane"] == lane], recorded[recorded["lane"] == lane]) for lane in shared}
+
+
+def _table(found: Sequence[Distance]) -> Table:
+    table = Table(title="Means, and distances from the recording (95 % intervals over vehicles)", title_justify="left")
+    for header in ("", "", "simulated", "recorded", "Wasserstein", "floor", "JS", "floor"):
+        table.add_column(header, justify="right" if header else "left", no_wrap=True)
+    last = ""
+    for d in found:
+        w, js = d.wasserstein, d.jensen_shannon
+        table.add_row(
+            d.part if d.part != last else "",
+            escape(f"{d.quantity.label} [{d.quantity.unit}]"),
+            *(f"{mean:.2f}" for mean in d.means),
+            f"{w.value:.2f} ({w.low:.2f}, {w.high:.2f})",
+            f"{d.floor[0]:.2f}",
+            f"{js.value:.2f}",
+            f"{d.floor[1]:.2f}",
+        )
+        last = d.part
+    return table

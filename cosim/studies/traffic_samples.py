@@ -1,0 +1,124 @@
+"""Samples of traffic, about one a second, from a recording, a run or a table: what realism is measured on.
+
+A table of samples has a row per vehicle and instant in SI units: `source` (within which times and vehicles mean
+something), `time`, `vehicle`, `lane` (1 = leftmost, NaN unknown), `x` (front bumper along the road), `v`, `a`, `length`
+(NaN unknown). `with_headways` adds what a driver keeps to the vehicle ahead.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+
+from cosim.runs.results import read_tables
+from gri.data.ngsim.columns import FRAME
+from gri.data.ngsim.defects import clean
+from gri.data.ngsim.recordings import recordings
+from gri.data.ngsim.smoothing import Motion, Smoothing, smoothed
+from gri.data.scene_file.schema import KEY
+from gri.errors import InputError
+
+EVERY = 1.0  # [s] between two samples of a vehicle
+MOVING = 1.0  # [m/s], below which headways in seconds mean nothing
+COLUMNS = ("source", "time", "vehicle", "lane", "x", "v", "a", "length")
+SMOOTHING = Smoothing()
+
+
+def with_headways(samples: pd.DataFrame) -> pd.DataFrame:
+    """The samples with `headway` [m], `time_headway` [s] and `time_gap` [s] to the next vehicle in the lane.
+
+    The headway counts from front bumper to front bumper, and in seconds at the follower's speed, as NGSIM has it; the
+    time gap counts from the front bumper to the rear bumper ahead. NaN: nobody ahead, an unknown lane or length, or,
+    for the latter two, a follower slower than `MOVING`.
+    """
+    ordered = samples.sort_values(["source", "time", "lane", "x"], kind="stable")
+    ahead = ordered.shift(-1)
+    together = np.logical_and.reduce([ordered[name].eq(ahead[name]) for name in ("source", "time", "lane")])
+    headway = (ahead["x"] - ordered["x"]).where(together)
+    moving = ordered["v"].where(ordered["v"] >= MOVING)
+    gap = headway - ahead["length"].where(ahead["length"] > 0)
+    added = ordered.assign(headway=headway, time_headway=headway / moving, time_gap=gap / moving)
+    return added.loc[samples.index]
+
+
+def recorded_samples(path: Path) -> pd.DataFrame:
+    """Samples of a trajectory file: NGSIM's columns, a scene file, or a Parquet table of `COLUMNS`."""
+    if path.suffix == ".parquet":
+        found = _of_scenes(path) if KEY in (_metadata(path) or {}) else _of_table(path)
+    else:
+        parts = [_of_motion(r.name, smoothed(clean(r)[0], SMOOTHING)) for r in recordings(path)]
+        found = pd.concat(parts, ignore_index=True)
+    if found.empty:
+        raise InputError(f"{path}: no vehicle is seen for {SMOOTHING.window * FRAME:g} s or more; give a longer file")
+    return with_headways(found)
+
+
+def run_samples(folder: Path) -> pd.DataFrame:
+    """Samples of the vehicles 0 and 1 of a run while they were under way; `driver` says who drove them."""
+    steps = read_tables(folder)["steps"]
+    steps = steps[steps["under_way"] & steps["present"] & steps["role"].isin([0, 1])]
+    step = steps["time"].drop_duplicates().sort_values().diff().min()
+    tick = (steps["time"] / step).round().astype(int)
+    steps = steps[tick % round(EVERY / step) == 0]
+    seconds = steps["gap"] / steps["v"].where(steps["v"] >= MOVING)
+    return pd.DataFrame(
+        {
+            "source": steps["driver"],
+            "driver": steps["driver"],
+            "time": steps["time"],
+            "vehicle": steps["vehicle"],
+            "v": steps["v"],
+            "a": steps["a"],
+            "time_gap": seconds.where(seconds > 0),
+        }
+    )
+
+
+def _of_motion(name: str, motion: Motion) -> pd.DataFrame:
+    """A recording's tracks once a second."""
+    kept = motion.step % round(EVERY / SMOOTHING.dt) == 0
+    table = pd.DataFrame(
+        {
+            "time": motion.step * SMOOTHING.dt,
+            "vehicle": motion.vehicle,
+            "lane": motion.lane.astype(float),
+            "x": motion.x,
+            "v": motion.vx,
+            "a": motion.ax,
+            "length": np.where(motion.length > 0, motion.length, np.nan),
+        }
+    )
+    return table[kept].assign(source=name)
+
+
+def _of_scenes(path: Path) -> pd.DataFrame:
+    """A scene file; only in car following all vehicles are known to be in one lane."""
+    table = pd.read_parquet(path)
+    table = table[table["valid"] & ((table["time"] / EVERY) % 1 < 1e-6)]
+    return pd.DataFrame(
+        {
+            "source": table["source"].astype(str) + "/" + table["scene"].astype(str),
+            "time": table["time"],
+            "vehicle": table["vehicle"],
+            "lane": np.where(table["kind"] == "car_following", 1.0, np.nan),
+            "x": table["x"],
+            "v": table["v"].fillna(table["vx"]),
+            "a": table["a"].fillna(table["ax"]),
+            "length": table["length"].where(table["length"] > 0),
+        }
+    )
+
+
+def _of_table(path: Path) -> pd.DataFrame:
+    table = pd.read_parquet(path)
+    if missing := [name for name in COLUMNS if name not in table]:
+        raise InputError(f"{path}: column {missing[0]} is missing; wanted {', '.join(COLUMNS)}, or a scene file")
+    return table[list(COLUMNS)]
+
+
+def _metadata(path: Path) -> dict[bytes, bytes] | None:
+    try:
+        return pq.read_schema(path).metadata
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: not a readable Parquet file ({str(error).splitlines()[0]})") from None

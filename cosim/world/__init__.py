@@ -1,0 +1,1 @@
+"""The world as values: snapshots of all vehicles, the road frame, groups, episodes. Nothing here talks to SUMO."""

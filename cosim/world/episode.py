@@ -1,0 +1,125 @@
+"""Episode: the frozen result of driving one group through one closed-loop run."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from cosim.measures.contacts import net_gap, time_to_collision
+from cosim.world.groups import Group
+from cosim.world.snapshot import COLUMNS
+from gri.core.graph import InteractionGraph
+
+SUCCESS_HEADWAY = 2.0  # [m], the paper's δ_f (Sec. VI-E)
+
+
+class Ending(StrEnum):
+    """Why a group was handed back."""
+
+    HORIZON = "horizon"  # driven as long as the scenario says
+    MERGED = "merged"  # vehicle 0 is inside the target lane and stayed there as long as the rule says
+    LATE = "late"  # vehicle 0 did not merge within the horizon
+    LANE_END = "lane_end"  # vehicle 0 came to the end of its lane before it was inside the target lane
+    OFF_ROAD = "off_road"  # a driven vehicle left all lanes; SUMO would drop it in the next step without a command
+    CONTACT = "contact"  # the box of vehicle 0 or 1 touched another one
+    CUT_IN = "cut_in"  # somebody else drove between two of the group
+    LANE_LEFT = "lane_left"  # a vehicle of the group that had to keep its lane changed it
+    LOST = "lost"  # a vehicle of the group left the simulation
+
+
+INTERRUPTED = frozenset({Ending.CUT_IN, Ending.LANE_LEFT, Ending.LOST})
+ARRIVED = frozenset({Ending.HORIZON, Ending.MERGED})
+LEFT_ALONE = frozenset({"sumo", "recorded"})  # drivers of groups that no policy took
+
+
+class EventKind(StrEnum):
+    TAKEN = "taken"
+    HANDED_BACK = "handed_back"
+    CONTACT = "contact"  # by our oriented boxes
+    SUMO_COLLISION = "sumo_collision"  # in SUMO's own list
+    DISAGREEMENT = "disagreement"  # exactly one of the two saw it
+    MISPLACED = "misplaced"  # a commanded vehicle is not where, or not as fast as, it was commanded to be
+    VANISHED = "vanished"  # a commanded vehicle is gone
+    TELEPORT = "teleport"
+    HARD_BRAKING = "hard_braking"  # after the hand-back
+
+
+@dataclass(frozen=True)
+class Event:
+    time: float
+    kind: EventKind
+    vehicles: tuple[str, ...]
+    detail: str = ""
+
+
+@dataclass(frozen=True)
+class Episode:
+    """What one group did, from the beginning of its history to the end of the watch after the hand-back.
+
+    `state` has the features of COLUMNS for the roles 0, 1, 2; `driven` says at which instants which of them stood
+    where the policy put them. `order` lists the roles from the rear to the front, as the group rule has them. `graph`
+    is what the policy went by, one row for each instant of `graph_time` (None where it has no notion of a graph).
+    """
+
+    driver: str
+    group: Group
+    time: Float[np.ndarray, " T"]
+    state: Float[np.ndarray, "T 3 C"]
+    valid: Bool[np.ndarray, "T 3"]
+    driven: Bool[np.ndarray, "T 3"]
+    length: Float[np.ndarray, " 3"]
+    width: Float[np.ndarray, " 3"]
+    order: tuple[int, int, int]
+    graph: InteractionGraph | None
+    graph_time: Float[np.ndarray, " R"]
+    ending: Ending
+    end: float
+    events: tuple[Event, ...]
+
+    def feature(self, name: str) -> Float[np.ndarray, "T 3"]:
+        return self.state[..., COLUMNS.index(name)]
+
+    @property
+    def under_way(self) -> Bool[np.ndarray, " T"]:
+        """The instants from the take-over to the end of the drive, whoever drove."""
+        return (self.time >= self.group.time - 1e-6) & (self.time <= self.end + 1e-6)
+
+    @property
+    def in_path(self) -> Bool[np.ndarray, "T 2"]:
+        """Whether each of the two rear vehicles of `order` would touch the next one if it went straight on."""
+        behind, ahead = list(self.order[:2]), list(self.order[1:])
+        d = self.feature("d")
+        return np.abs(d[:, behind] - d[:, ahead]) < 0.5 * (self.width[behind] + self.width[ahead])
+
+    @property
+    def gap(self) -> Float[np.ndarray, "T 2"]:
+        """Net gaps [m] along the road between neighbours of `order`, whatever their lanes and whoever is ahead."""
+        s = self.feature("s")
+        behind, ahead = list(self.order[:2]), list(self.order[1:])
+        in_order = net_gap(s[:, behind], s[:, ahead], self.length[ahead])
+        return np.maximum(in_order, net_gap(s[:, ahead], s[:, behind], self.length[behind]))
+
+    @property
+    def ttc(self) -> Float[np.ndarray, "T 2"]:
+        """Times to collision [s] over the same gaps; +inf where the vehicles are not in each other's path."""
+        s, v = self.feature("s"), self.feature("v")
+        behind, ahead = list(self.order[:2]), list(self.order[1:])
+        opening = np.where(s[:, ahead] >= s[:, behind], 1, -1) * (v[:, ahead] - v[:, behind])
+        return np.where(self.in_path, time_to_collision(self.gap, -opening, np.zeros_like(opening)), np.inf)
+
+    @property
+    def jerk(self) -> Float[np.ndarray, "T 3"]:
+        """Change of acceleration since the previous instant [m/s³]; 0 at the first one."""
+        a = self.feature("a")
+        return np.vstack([np.zeros((1, 3)), np.diff(a, axis=0) / np.diff(self.time)[:, None]])
+
+    @property
+    def success(self) -> bool:
+        """Driven to the horizon, or merged, without contact, and at the end behind who was to be followed by δ_f.
+
+        In car following every vehicle must be behind the next one, in a merge vehicle 0 behind the leader.
+        """
+        s = self.feature("s")[np.flatnonzero(self.under_way)[-1]]
+        followed = ((0, 1), (1, 2)) if self.order == (0, 1, 2) else ((0, 2),)
+        return self.ending in ARRIVED and all(s[ahead] - s[behind] >= SUCCESS_HEADWAY for behind, ahead in followed)

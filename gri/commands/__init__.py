@@ -1,0 +1,1 @@
+"""The `gri` command. Begin with `cli`."""

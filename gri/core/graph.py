@@ -1,0 +1,94 @@
+"""Interaction graphs: a categorical variable on every ordered pair of vehicles.
+
+`z[i, j]` is the effect of vehicle i on vehicle j: with `z[1, 0] = FOLLOW`, vehicle 0 follows vehicle 1 (Sec.
+III-A, IV). The E = N(N−1) ordered pairs stand in lexicographic order (sender, receiver).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from gri.core.edges import FOLLOWING, LANE_CHANGING, YIELDING, EdgeType, Vocabulary, agents_of, pairs
+
+__all__ = [
+    "FOLLOWING",
+    "LANE_CHANGING",
+    "YIELDING",
+    "EdgeType",
+    "InteractionGraph",
+    "Vocabulary",
+    "agents_of",
+    "incoming",
+    "pairs",
+]
+
+
+@dataclass(frozen=True)
+class InteractionGraph:
+    """Distributions over edge types; the vocabulary says what index k means."""
+
+    logits: Float[Tensor, "B E K"]
+    vocabulary: Vocabulary
+
+    def __post_init__(self) -> None:
+        assert self.logits.shape[-1] == len(self.vocabulary), f"{self.logits.shape} does not fit {self.vocabulary}"
+
+    @classmethod
+    def certain(cls, types: Int[Tensor, "B E"], vocabulary: Vocabulary) -> "InteractionGraph":
+        """A graph known for sure: all probability (up to e⁻³⁰) on the given type indices."""
+        return cls((torch.nn.functional.one_hot(types, len(vocabulary)).float() - 1) * 30, vocabulary)
+
+    @classmethod
+    def of_edges(
+        cls, edges: Mapping[tuple[int, int], EdgeType], vocabulary: Vocabulary, n: int = 3, batch: int = 1
+    ) -> "InteractionGraph":
+        """The certain graph in which the named pairs (sender, receiver) have the named type and all others none."""
+        types = [vocabulary.index(edges.get(pair, EdgeType.NONE)) for pair in pairs(n)]
+        return cls.certain(torch.tensor([types] * batch), vocabulary)
+
+    @property
+    def probs(self) -> Float[Tensor, "B E K"]:
+        return self.logits.softmax(-1)
+
+    @property
+    def map(self) -> Int[Tensor, "B E"]:
+        """Index of the most probable type of each edge."""
+        return self.logits.argmax(-1)
+
+    @property
+    def one_hot(self) -> Float[Tensor, "B E K"]:
+        """The MAP graph as one-hot vectors."""
+        return torch.nn.functional.one_hot(self.map, self.logits.shape[-1]).to(self.logits.dtype)
+
+    def sample(self, generator: torch.Generator, temperature: float = 0.5) -> Float[Tensor, "B E K"]:
+        """Straight-through Gumbel-softmax: exact one-hot samples whose gradient is the relaxed sample's."""
+        uniform = torch.rand(self.logits.shape, generator=generator, dtype=self.logits.dtype)
+        gumbel = -torch.log(-torch.log(uniform.clamp(1e-9, 1 - 1e-7)))
+        soft = ((self.logits + gumbel) / temperature).softmax(-1)
+        hard = torch.nn.functional.one_hot(soft.argmax(-1), soft.shape[-1]).to(soft.dtype)
+        return hard + soft - soft.detach()
+
+    def __len__(self) -> int:
+        return self.logits.shape[0]
+
+    def __getitem__(self, scenes: Tensor | slice) -> "InteractionGraph":
+        return InteractionGraph(self.logits[scenes], self.vocabulary)
+
+    def edges(self, scene: int = 0) -> dict[tuple[int, int], tuple[EdgeType, float]]:
+        """MAP type and its probability of every pair that is not `none`, for one scene."""
+        types, probs = self.map[scene].tolist(), self.probs[scene].tolist()
+        return {
+            pair: (self.vocabulary[k], p[k])
+            for pair, k, p in zip(pairs(agents_of(len(types))), types, probs, strict=True)
+            if self.vocabulary[k] is not EdgeType.NONE
+        }
+
+
+def incoming(graph: Int[Tensor, "B E"], vehicle: int, vehicles: int) -> tuple[list[int], Int[Tensor, "B S"]]:
+    """The other vehicles, and the types of their edges into this one."""
+    others = [other for other in range(vehicles) if other != vehicle]
+    places = [pairs(vehicles).index((other, vehicle)) for other in others]
+    return others, graph[:, places]

@@ -1,0 +1,1 @@
+"""From which ranges scenes are drawn: starts, graphs, leaders; one file per kind of scene."""

@@ -1,0 +1,124 @@
+"""Reading scene files (`gri.data.scene_file.schema`) for models."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pyarrow.parquet as pq
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+
+from gri.core.dynamics import Dynamics
+from gri.core.graph import Vocabulary, pairs
+from gri.core.trajectory import Trajectory
+from gri.data.scene_file.schema import opened, read_header
+from gri.errors import InputError
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """Scenes read back for a model."""
+
+    trajectory: Trajectory
+    graph: Int[Tensor, "S E"]
+    """Edge types as indices into the vocabulary asked for."""
+    source: np.ndarray
+    split: np.ndarray
+    vehicle: np.ndarray
+    length: Float[Tensor, "S N"]
+    hypothesis: Int[Tensor, "S E"] | None = None
+    """What the geometry suggests, where the file knows better."""
+    unambiguous: Bool[Tensor, " S"] | None = None
+    """Whether the graph says all that the steps of a scene say, where it is reduced from those."""
+
+    def __len__(self) -> int:
+        return len(self.graph)
+
+    def __getitem__(self, scenes: Int[Tensor, " K"]) -> "Recorded":
+        """The selected scenes."""
+        given = {name: value for name, value in vars(self).items() if name != "trajectory" and value is not None}
+        rows = scenes.numpy()
+        return Recorded(self.trajectory[scenes], **{name: value[rows] for name, value in given.items()})
+
+
+def read(path: Path, kind: str, dynamics: Dynamics, vocabulary: Vocabulary, split: str | None = None) -> Recorded:
+    """All scenes of a kind (and split), as states of the given dynamics.
+
+    Errors: `InputError` where the file is no scene file, has no such scenes, or lacks a state feature or edge type.
+    """
+    header = read_header(opened(path), path)
+    n = header.vehicles
+    filters = [("kind", "=", kind)] + ([("split", "=", split)] if split else [])
+    names = ["scene", "step", "valid", "source", "split", "vehicle", "length", *dynamics.state]
+    known = set(opened(path).schema_arrow.names)
+    more = [*(f"{word}_from_{i}" for word in ("edge", "hypothesis") for i in range(n)), "unambiguous"]
+    table = pq.read_table(path, columns=[*names, *(name for name in more if name in known)], filters=filters)
+    if not table.num_rows:
+        raise InputError(f"{path}: has no scenes of kind {kind}{f' in split {split}' if split else ''}; make some")
+    steps = int(table["step"].to_numpy().max()) + 1
+    if table.num_rows % (n * steps) or np.any(np.diff(table["scene"].to_numpy()[:: n * steps]) <= 0):
+        raise InputError(f"{path}: scenes of kind {kind} differ in length; write each length to a file of its own")
+    shape = (-1, n, steps)
+    for name in dynamics.state:
+        if table[name].null_count:
+            raise InputError(f"{path}: column {name} is not filled in for kind {kind}, wanted by {dynamics.name}")
+    state = np.stack([table[name].to_numpy().reshape(shape) for name in dynamics.state], -1)
+    valid = table["valid"].to_numpy(zero_copy_only=False).reshape(shape)
+    first = {name: table[name].to_numpy(zero_copy_only=False).reshape(shape)[:, :, 0] for name in names[3:7]}
+
+    def graph_of(word: str) -> Tensor:
+        columns = [table[f"{word}_from_{i}"].to_numpy(zero_copy_only=False).reshape(shape) for i in range(n)]
+        return torch.from_numpy(_indices(np.stack([columns[i][:, j, 0] for i, j in pairs(n)], 1), vocabulary, path))
+
+    reduced = "unambiguous" in known and not table["unambiguous"].null_count
+    return Recorded(
+        Trajectory(torch.from_numpy(state).float(), torch.from_numpy(valid.copy()), header.dt),
+        graph_of("edge"),
+        first["source"][:, 0],
+        first["split"][:, 0],
+        first["vehicle"],
+        torch.from_numpy(np.nan_to_num(first["length"].astype(np.float32))),
+        graph_of("hypothesis") if reduced else None,
+        torch.from_numpy(table["unambiguous"].to_numpy().reshape(shape)[:, 0, 0].copy()) if reduced else None,
+    )
+
+
+def scene_counts(path: Path) -> set[tuple[str, str]]:
+    """The (kind, split) pairs that a file has scenes of. Errors: `InputError` where it is no scene file."""
+    read_header(opened(path), path)
+    table = pq.read_table(path, columns=["kind", "split"]).unify_dictionaries()
+    found = table.group_by(["kind", "split"]).aggregate([])
+    return set(zip(found["kind"].to_pylist(), found["split"].to_pylist(), strict=True))
+
+
+def joined(parts: Sequence[Recorded]) -> Recorded:
+    """Scenes of the same shape one after the other."""
+    first = parts[0].trajectory
+    state, valid = (torch.cat([getattr(p.trajectory, name) for p in parts]) for name in ("state", "valid"))
+    return Recorded(
+        Trajectory(state, valid, first.dt),
+        torch.cat([part.graph for part in parts]),
+        np.concatenate([part.source for part in parts]),
+        np.concatenate([part.split for part in parts]),
+        np.concatenate([part.vehicle for part in parts]),
+        torch.cat([part.length for part in parts]),
+        _all_of([part.hypothesis for part in parts]),
+        _all_of([part.unambiguous for part in parts]),
+    )
+
+
+def _all_of(parts: Sequence[Tensor | None]) -> Tensor | None:
+    """One after the other; None where a part has nothing."""
+    there = [part for part in parts if part is not None]
+    return torch.cat(there) if len(there) == len(parts) else None
+
+
+def _indices(names: np.ndarray, vocabulary: Vocabulary, path: Path) -> np.ndarray:
+    unknown = set(names.ravel().tolist()) - {str(kind) for kind in vocabulary}
+    if unknown:
+        wanted = ", ".join(vocabulary)
+        raise InputError(f"{path}: got edge type {sorted(map(str, unknown))[0]}, wanted one of {wanted}")
+    index = {str(kind): k for k, kind in enumerate(vocabulary)}
+    return np.vectorize(index.__getitem__, otypes=[np.int64])(names)

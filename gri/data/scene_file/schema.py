@@ -1,0 +1,248 @@
+"""The project's scene file: one Parquet table for scenes of any origin (docs/scenes.md).
+
+One row per scene, vehicle and step, in that order, so that `pandas.read_parquet` gives a table to work with and whole
+scenes lie together. Scenes are written group by group; memory holds one group, not the file. The same scenes and
+provenance give the same bytes.
+"""
+
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from gri.core.edges import EdgeType, pairs
+from gri.errors import InputError
+
+FORMAT, VERSION = "gri-scenes", 1
+KEY = b"gri.scenes"
+FEATURES = ("x", "y", "vx", "vy", "ax", "ay", "v", "a", "heading", "yaw_rate")
+"""State columns, SI units: together they hold the states of all dynamics. What a source does not know is null."""
+ROWS = 300_000  # a row group at most
+
+
+@dataclass(frozen=True)
+class SceneBlock:
+    """S scenes of N vehicles over T steps that share their kind; the last vehicle is the given leader."""
+
+    kind: str
+    """`car_following`, `lane_changing`, or another word the source defines."""
+    source: np.ndarray
+    """[S] Where each scene is from: a site, a scenario."""
+    recording: np.ndarray
+    """[S] Which recording or episode of the source; vehicle numbers mean something within it."""
+    split: np.ndarray
+    """[S] `train`, `validation` or `test`."""
+    start: np.ndarray
+    """[S] Time of step 0 since the recording began [s]."""
+    vehicle: np.ndarray
+    """[S, N] Numbers of the vehicles."""
+    features: Mapping[str, np.ndarray]
+    """[S, N, T] of some of `FEATURES`."""
+    edges: np.ndarray
+    """[S, E] Names of edge types over ordered pairs (`gri.core.graph.pairs`): the truth, or what is taken for it."""
+    valid: np.ndarray | None = None
+    """[S, N, T] Which states exist; None: all."""
+    size: Mapping[str, np.ndarray] = field(default_factory=dict)
+    """[S, N] `length` and `width` [m], 0 where unknown."""
+    step_edges: np.ndarray | None = None
+    """[S, E, T] Edge types step by step, where they change; None: they do not."""
+    rule_edges: np.ndarray | None = None
+    """[S, E, T] The same by cheaper rules, where the source has both."""
+    effect: np.ndarray | None = None
+    """[S, E, T] How strong the edge is at each step [m/s²]; negative: the vehicle would be faster without it."""
+    hypothesis: np.ndarray | None = None
+    """[S, E] Edge types that the geometry suggests, where `edges` are known otherwise."""
+    unambiguous: np.ndarray | None = None
+    """[S] Whether `edges` says of every pair all that its steps say."""
+    vehicle_type: np.ndarray | None = None
+    """[S, N] The source's word for each vehicle's type."""
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        return next(iter(self.features.values())).shape
+
+    def __getitem__(self, scenes: slice) -> "SceneBlock":
+        def cut(values: Any) -> Any:
+            if isinstance(values, Mapping):
+                return {name: array[scenes] for name, array in values.items()}
+            return values[scenes] if isinstance(values, np.ndarray) else values
+
+        return SceneBlock(**{f.name: cut(getattr(self, f.name)) for f in fields(self)})
+
+
+class Header(msgspec.Struct, frozen=True, kw_only=True):
+    """What the file says of itself, as JSON under `gri.scenes` in the Parquet metadata."""
+
+    dt: float
+    """Time between two steps [s]."""
+    vehicles: int = 3
+    """N."""
+    format: str = FORMAT
+    version: int = VERSION
+    provenance: dict[str, Any] = {}
+    """What made the scenes: files with their hashes, options, counts, versions. Nothing that changes by itself."""
+
+
+def schema(header: Header) -> pa.Schema:
+    """The columns; see docs/scenes.md."""
+    word = pa.dictionary(pa.int32(), pa.string())
+    kinds = "edge_from", "step_edge_from", "rule_edge_from", "hypothesis_from"
+    edges = [f"{name}_{i}" for name in kinds for i in range(header.vehicles)]
+    columns = [("scene", pa.int64()), *((name, word) for name in ("kind", "source", "recording", "split"))]
+    columns += [("role", pa.int8()), ("vehicle", pa.int64()), ("step", pa.int16()), ("time", pa.float64())]
+    columns += [("valid", pa.bool_()), *((name, pa.float32()) for name in (*FEATURES, "length", "width"))]
+    columns += [(name, word) for name in edges]
+    columns += [(f"effect_from_{i}", pa.float32()) for i in range(header.vehicles)]
+    columns += [("unambiguous", pa.bool_()), ("vehicle_type", word)]
+    return pa.schema(columns, metadata={KEY: msgspec.json.encode(header, order="sorted")})
+
+
+@contextmanager
+def writing(path: Path, header: Header) -> Iterator[Callable[[SceneBlock], None]]:
+    """A function that appends scenes; the file appears whole at the end or not at all, scenes numbered as they come."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_suffix(f".{os.getpid()}.part")
+    written = 0
+    try:
+        with pq.ParquetWriter(part, schema(header), compression="zstd") as writer:
+
+            def write(block: SceneBlock) -> None:
+                nonlocal written
+                count, vehicles, steps = block.shape
+                assert vehicles == header.vehicles, f"got {vehicles} vehicles, the file has {header.vehicles}"
+                size = max(1, ROWS // (vehicles * steps))
+                for start in range(0, count, size):
+                    writer.write_table(_table(block[start : start + size], written + start, header))
+                written += count
+
+            yield write
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+@contextmanager
+def joining(path: Path, header: Header) -> Iterator[Callable[[Path, Mapping[str, int]], None]]:
+    """A function that appends the first scenes of a file, so many of each kind, with new numbers; else like `writing`.
+
+    Memory holds one group of rows.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    part = path.with_suffix(f".{os.getpid()}.part")
+    written = 0
+    try:
+        with pq.ParquetWriter(part, schema(header), compression="zstd") as writer:
+
+            def append(source: Path, wanted: Mapping[str, int]) -> None:
+                nonlocal written
+                left, file = dict(wanted), opened(source)
+                for group in range(file.num_row_groups):
+                    table = file.read_row_group(group)
+                    kind, numbers = table["kind"][0].as_py(), table["scene"].to_numpy()
+                    taken = np.unique(numbers)[: left.get(kind, 0)]
+                    left[kind] = left.get(kind, 0) - len(taken)
+                    table = table.filter(pa.array(np.isin(numbers, taken)))
+                    place = table.schema.get_field_index("scene")
+                    new = written + np.searchsorted(taken, table["scene"].to_numpy())
+                    if len(taken):
+                        writer.write_table(table.set_column(place, "scene", pa.array(new)).cast(schema(header)))
+                    written += len(taken)
+
+            yield append
+        os.replace(part, path)
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _table(block: SceneBlock, first: int, header: Header) -> pa.Table:
+    count, n, steps = block.shape
+    scene = np.arange(first, first + count)
+
+    def spread(values: np.ndarray) -> np.ndarray:
+        """[S] or [S, N] values on every row."""
+        shaped = values.reshape(*values.shape, *[1] * (3 - values.ndim))
+        return np.broadcast_to(shaped, (count, n, steps)).ravel()
+
+    step = np.broadcast_to(np.arange(steps), (count, n, steps))
+    columns: dict[str, Any] = {
+        "scene": spread(scene),
+        "kind": np.full(count * n * steps, block.kind, object),
+        "source": spread(block.source.astype(object)),
+        "recording": spread(block.recording.astype(object)),
+        "split": spread(block.split.astype(object)),
+        "role": spread(np.broadcast_to(np.arange(n), (count, n))),
+        "vehicle": spread(block.vehicle),
+        "step": step.ravel(),
+        "time": (block.start[:, None, None] + step * header.dt).ravel().round(6),
+        "valid": np.ones(count * n * steps, bool) if block.valid is None else block.valid.ravel(),
+    }
+    columns |= {name: values.ravel() for name, values in block.features.items()}
+    columns |= {name: spread(values) for name, values in block.size.items()}
+    columns |= _edge_columns("edge_from", np.repeat(block.edges[:, :, None], steps, 2), n)
+    if block.hypothesis is not None:
+        columns |= _edge_columns("hypothesis_from", np.repeat(block.hypothesis[:, :, None], steps, 2), n)
+    changing = {"step_edge_from": block.step_edges, "rule_edge_from": block.rule_edges, "effect_from": block.effect}
+    for name, values in changing.items():
+        columns |= {} if values is None else _edge_columns(name, values, n)
+    rest = {"unambiguous": block.unambiguous, "vehicle_type": block.vehicle_type}
+    columns |= {name: spread(values) for name, values in rest.items() if values is not None}
+    layout = schema(header)
+    arrays = [_column(columns.get(f.name), f.type, count * n * steps) for f in layout]
+    return pa.Table.from_arrays(arrays, schema=layout)
+
+
+def _column(values: np.ndarray | None, kind: pa.DataType, rows: int) -> pa.Array:
+    """Values in the file's type, all null where there are none; words as numbers in the order of their appearance."""
+    if values is None:
+        return pa.nulls(rows, kind)
+    if not pa.types.is_dictionary(kind):
+        return pa.array(values).cast(kind)
+    codes, words = pd.factorize(values)
+    return pa.DictionaryArray.from_arrays(pa.array(codes, pa.int32(), mask=codes < 0), pa.array(words, pa.string()))
+
+
+def _edge_columns(name: str, edges: np.ndarray, n: int) -> dict[str, np.ndarray]:
+    """Column i holds, on the rows of vehicle j, the type of i → j; null for i = j."""
+    table = np.full((len(edges), n, n, edges.shape[2]), None, object)
+    for e, (i, j) in enumerate(pairs(n)):
+        table[:, i, j] = edges[:, e]
+    return {f"{name}_{i}": table[:, i].ravel() for i in range(n)}
+
+
+def header_of(path: Path) -> Header:
+    """What the file says of itself. Errors: `InputError` where it is no scene file."""
+    return read_header(opened(path), path)
+
+
+def names_of(edges: Mapping[tuple[int, int], EdgeType], n: int = 3) -> np.ndarray:
+    """[E] Names of the types of one graph, "none" where it has no edge."""
+    return np.array([str(edges.get(pair, EdgeType.NONE)) for pair in pairs(n)], object)
+
+
+def opened(path: Path) -> pq.ParquetFile:
+    """The Parquet file. Errors: `InputError` where it is none."""
+    try:
+        return pq.ParquetFile(path)
+    except (OSError, pa.ArrowException) as error:
+        raise InputError(f"{path}: not a readable scene file ({str(error).splitlines()[0]}); make it again") from error
+
+
+def read_header(file: pq.ParquetFile, path: Path) -> Header:
+    """What an opened file says of itself."""
+    text = (file.schema_arrow.metadata or {}).get(KEY)
+    if text is None:
+        raise InputError(
+            f"{path}: a Parquet file, but not a scene file; give one of `gri ngsim scenes` or `cosim scenes`"
+        )
+    header = msgspec.json.decode(text, type=Header)
+    if (header.format, header.version) != (FORMAT, VERSION):
+        raise InputError(f"{path}: got {header.format} {header.version}, this release reads {FORMAT} {VERSION}")
+    return header

@@ -1,0 +1,1 @@
+"""Synthetic scenes: `expert` trains a policy on the true reward, `optimal_drivers` plays best responses."""

@@ -1,0 +1,1 @@
+"""One model from one configuration. Begin with `train.train`, which calls the objective the configuration names."""

@@ -1,0 +1,1 @@
+"""The baselines: NRI, Supervised, and a calibrated intelligent driver model."""

@@ -1,0 +1,68 @@
+"""The intelligent driver model, fitted to recorded scenes: the baseline a traffic engineer would take."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from scipy.optimize import minimize
+from torch import Tensor
+
+from gri.core.dynamics import stop_at_standstill
+from gri.core.policy import IntelligentDriver
+from gri.core.scenes import Scenes
+from gri.core.trajectory import Trajectory
+from gri.progress import Progress, silent
+from gri.training.optimisation import reconstruction_loss
+
+FITTED = {
+    "desired_speed": (8.0, 45.0),
+    "time_headway": (0.2, 3.0),
+    "minimum_gap": (0.2, 8.0),
+    "acceleration": (0.2, 4.0),
+    "deceleration": (0.3, 6.0),
+}
+"""Parameters that are fitted, within these bounds; the vehicle ahead is 5 m long, as spacings are front to front."""
+
+
+@torch.no_grad()
+def drive(
+    driver: IntelligentDriver, start: Float[Tensor, "S N 3"], leader: Float[Tensor, "S T 3"]
+) -> Float[Tensor, "S N T 3"]:
+    """States when all vehicles but the last are driven, as long as the leader lasts; nobody reverses."""
+    memory = driver.begin(Trajectory.complete(start[:, :, None], driver.dt))
+    states = [start]
+    for t in range(leader.shape[1] - 1):
+        action, memory = driver.act(memory, states[-1])
+        moved = stop_at_standstill(states[-1], driver.dynamics.step(states[-1], action, driver.dt))
+        states.append(torch.cat([moved[:, :-1], leader[:, t + 1 : t + 2]], 1))
+    return torch.stack(states, 2)
+
+
+def calibrate(scenes: Scenes, dt: float, progress: Progress = silent) -> IntelligentDriver:
+    """The one driver for all scenes that minimises the error by which the models are trained (Nelder-Mead)."""
+    driver = IntelligentDriver(dt)
+    first = np.log([getattr(driver, name) for name in FITTED])
+    bounds = [tuple(np.log(limits)) for limits in FITTED.values()]
+    done = 0
+
+    def loss(logarithms: np.ndarray) -> float:
+        nonlocal done
+        done += 1
+        state = drive(with_parameters(driver, np.exp(logarithms)), scenes.start, scenes.leader)
+        value = float(reconstruction_loss(state, scenes.state, driver.dynamics))
+        progress("IDM", min(done, 400), 400, value)
+        return value
+
+    found = minimize(loss, first, method="Nelder-Mead", bounds=bounds, options={"maxfev": 400, "xatol": 1e-3})
+    return with_parameters(driver, np.exp(found.x))
+
+
+def with_parameters(driver: IntelligentDriver, values: np.ndarray) -> IntelligentDriver:
+    """The driver with other values of the fitted parameters."""
+    return replace(driver, **dict(zip(FITTED, map(float, values), strict=True)))
+
+
+def parameters(driver: IntelligentDriver) -> dict[str, float]:
+    """Names and values of what is fitted."""
+    return {f.name: round(getattr(driver, f.name), 3) for f in fields(driver) if f.name in FITTED}

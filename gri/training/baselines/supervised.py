@@ -1,0 +1,41 @@
+"""The Supervised baseline: the policy decoder alone, told the true graph (Sec. VI-A)."""
+
+import msgspec
+import torch
+
+from gri.core.scenes import Scenes
+from gri.networks.model import RelationalModel
+from gri.networks.rollout import rollout
+from gri.progress import Progress, silent
+from gri.training.optimisation import Descent, action_error, batches, reconstruction_loss
+
+
+class SupervisedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="supervised"):
+    """Roll-out mean squared error, nothing else."""
+
+    updates: int = 1500
+    batch: int = 64
+    learning_rate: float = 3e-3
+    action_weight: float = 0.0
+    """Weight of the squared error of actions, in units of the scale, beside that of states [m²]."""
+
+
+def train_supervised(
+    model: RelationalModel,
+    scenes: Scenes,
+    settings: SupervisedSettings,
+    seed: int,
+    progress: Progress = silent,
+) -> None:
+    """Train the model's decoder in place."""
+    generator = torch.Generator().manual_seed(seed)
+    descent = Descent(model.decoder.parameters(), settings.learning_rate, settings.updates)
+    types = len(model.config.vocabulary)
+    for update, chosen in enumerate(batches(len(scenes), settings.batch, settings.updates, generator)):
+        batch = scenes[chosen]
+        driven = rollout(model, batch.start, batch.one_hot(types), batch.leader)
+        loss = reconstruction_loss(driven.state, batch.state, model.dynamics)
+        if settings.action_weight:
+            loss = loss + settings.action_weight * action_error(driven.action, batch.action, model.decoder.action_unit)
+        descent.step(loss)
+        progress("policy", update + 1, settings.updates, float(loss.detach()))

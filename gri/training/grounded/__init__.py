@@ -1,0 +1,1 @@
+"""Grounded training without an adversary: reward, then graph, then policy. Begin with `train_grounded`."""

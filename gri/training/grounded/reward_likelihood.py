@@ -1,0 +1,85 @@
+"""Grounded training's first two stages: the reward that makes recorded actions likely, and the graphs that it shows.
+
+Laplace's approximation of the MaxEnt likelihood (`gri.planning.laplace_likelihood`, `gri.planning.riccati_likelihood`),
+with all graphs summed out.
+"""
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from gri.core.scenes import Scenes
+from gri.networks.model import RelationalModel
+from gri.planning.laplace_likelihood import Expansion, combination_prior, expand, log_likelihood, marginals, scene_prior
+from gri.planning.riccati_likelihood import StepExpansion, expand_steps, log_likelihood_by_steps
+from gri.progress import Progress, silent
+from gri.rewards.structured import StructuredReward
+from gri.training.grounded.settings import GroundedSettings
+from gri.training.optimisation import Descent, batches
+
+
+def fit_reward(
+    model: RelationalModel,
+    reward: StructuredReward,
+    scenes: Scenes,
+    settings: GroundedSettings,
+    generator: torch.Generator,
+    progress: Progress = silent,
+) -> None:
+    """Maximise Σ_j log Σ_z p(z_j)·p(u_j | z_j) over the reward's weights and α."""
+    chosen = torch.randperm(len(scenes), generator=generator)[: settings.reward_scenes]
+    expansion = _expand(model, reward, scenes[chosen], settings)
+    prior = combination_prior(reward, prior_of(reward, scenes[chosen], settings), scenes.action.shape[1])
+    descent = Descent(reward.parameters(), settings.reward_rate, settings.reward_updates)
+    total = settings.reward_updates
+    for update, batch in enumerate(batches(len(chosen), settings.reward_batch, total, generator)):
+        evidence = torch.logsumexp(_log_likelihood(reward, expansion[batch]) + prior[batch], -1).mean()
+        spread = torch.cat([psi.square() for psi in reward.psi.values()]).sum()
+        descent.step(settings.reward_prior * spread - evidence)
+        progress("reward", update + 1, total, float(evidence.detach()))
+
+
+@torch.no_grad()
+def scene_posterior(
+    model: RelationalModel,
+    reward: StructuredReward,
+    scenes: Scenes,
+    settings: GroundedSettings,
+    progress: Progress = silent,
+) -> Float[Tensor, "S E K"]:
+    """p(z_ij | u) of every scene under the reward as it stands."""
+    parts = []
+    chunk = _CHUNK[settings.likelihood]
+    for start in range(0, len(scenes), chunk):
+        part = scenes[start : start + chunk]
+        likelihood = _log_likelihood(reward, _expand(model, reward, part, settings))
+        parts.append(marginals(reward, likelihood, prior_of(reward, part, settings)))
+        progress("graph", min(start + chunk, len(scenes)), len(scenes), 0.0)
+    return torch.cat(parts)
+
+
+_CHUNK = {"dense": 64, "stepwise": 256}  # scenes whose Hessians are held at once
+
+
+@torch.no_grad()
+def _expand(
+    model: RelationalModel, reward: StructuredReward, scenes: Scenes, settings: GroundedSettings
+) -> Expansion | StepExpansion:
+    chunk = _CHUNK[settings.likelihood]
+    parts = [scenes[start : start + chunk] for start in range(0, len(scenes), chunk)]
+    if settings.likelihood == "stepwise":
+        return StepExpansion.concatenate([expand_steps(model, reward, p.state, p.action) for p in parts])
+    horizon, stride = settings.horizon, settings.stride
+    return Expansion.concatenate([expand(model, reward, p.state, p.action, horizon, stride) for p in parts])
+
+
+def _log_likelihood(reward: StructuredReward, expansion: Expansion | StepExpansion) -> Float[Tensor, "B R C"]:
+    match expansion:
+        case Expansion():
+            return log_likelihood(reward, expansion)
+        case StepExpansion():
+            return log_likelihood_by_steps(reward, expansion)
+
+
+def prior_of(reward: StructuredReward, scenes: Scenes, settings: GroundedSettings) -> Float[Tensor, "B E K"]:
+    return scene_prior(reward, scenes.state, settings.no_edge_prior, settings.ahead_only)

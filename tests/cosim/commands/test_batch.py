@@ -1,0 +1,191 @@
+"""Batches as a person runs them: results, continuing, changing the file, and faults from outside."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from tests.cosim.batch.conftest import SHORT, cosim, tables
+
+
+def states(folder: Path) -> Counter[str]:
+    return Counter(run["state"] for run in json.loads((folder / "manifest.json").read_text())["runs"])
+
+
+def log(folder: Path) -> list[dict]:
+    return [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
+
+
+def test_a_dry_run_lists_the_runs_and_starts_none(short):
+    done = cosim("batch", "short.yaml", "--dry-run", "--out", "dry", cwd=short)
+    assert "4 runs, none started." in done.stdout
+    assert done.stdout.count("us101_car_following gri nominal plain seed") == 2
+    assert not (short / "dry").exists()
+
+
+def test_every_run_ends_in_the_tables_and_the_manifest(short):
+    said = (short / "said").read_text()
+    assert "4 of 4 finished, 0 failed" in said
+    assert "runs: 4/4" in said
+    manifest = json.loads((short / "two/manifest.json").read_text())
+    assert manifest["states"] == {"done": 4}
+    assert {"gri-cosim", "libsumo", "numpy", "torch", "python"} == set(manifest["versions"])
+    assert len({run["key"] for run in manifest["runs"]}) == 4
+    assert {entry["ended"] for entry in log(short / "two")} == {"done"}
+    for run in manifest["runs"]:
+        assert {"groups.parquet", "steps.parquet", "scenario.json", "manifest.json", "sumo.log"} <= {
+            path.name for path in (short / "two/runs" / run["run"]).iterdir()
+        }
+
+
+def test_pandas_reads_the_tables_as_they_are(short):
+    groups = pd.read_parquet(short / "two/groups")
+    assert {"run", "scenario", "policy", "perturbation", "intensity", "variant", "seed", "driver"} <= set(groups)
+    assert groups.groupby("policy")["run"].nunique().to_dict() == {"gri": 2, "idm": 2}
+    steps = pd.read_parquet(short / "two/steps", filters=[("run", "==", groups["run"].iloc[0])])
+    assert steps["episode"].nunique() == (groups["run"] == groups["run"].iloc[0]).sum()
+
+
+def test_duckdb_reads_the_tables_as_they_are(short):
+    duckdb = pytest.importorskip("duckdb")
+    path = short / "two/groups/*/*.parquet"
+    rows = duckdb.sql(f"SELECT policy, count(DISTINCT run) FROM '{path}' GROUP BY policy ORDER BY policy").fetchall()
+    assert rows == [("gri", 2), ("idm", 2)]
+
+
+def test_one_worker_writes_the_same_bytes_as_two(short):
+    assert cosim("batch", "short.yaml", "--workers", 1, "--out", "one", cwd=short).returncode == 0
+    assert tables(short / "one") == tables(short / "two")
+    one, two = (json.loads((short / name / "manifest.json").read_text())["runs"] for name in ("one", "two"))
+    assert one == two
+
+
+@pytest.mark.slow
+def test_a_second_call_repeats_nothing_and_a_changed_file_only_what_changed(short):
+    (short / "changing.yaml").write_text(SHORT)
+    arguments = ("batch", "changing.yaml", "--workers", "2", "--out", "changing")
+    assert cosim(*arguments, cwd=short).returncode == 0
+    before = log(short / "changing")
+    assert "4 of 4 finished" in cosim(*arguments, cwd=short).stdout
+    assert log(short / "changing") == before
+    (short / "changing.yaml").write_text(SHORT.replace("idm: {kind: idm}", "still: {kind: constant_velocity}"))
+    assert "4 of 4 finished" in cosim(*arguments, cwd=short).stdout
+    assert len(log(short / "changing")) == len(before) + 2
+    groups = pd.read_parquet(short / "changing/groups")
+    assert set(groups["policy"]) == {"gri", "still"}, "the tables hold the runs of the present file"
+    (short / "changing.yaml").write_text(SHORT)
+    assert "4 of 4 finished" in cosim(*arguments, cwd=short).stdout
+    assert len(log(short / "changing")) == len(before) + 2, "changing back costs nothing"
+
+
+@pytest.mark.slow
+def test_failures_are_listed_with_their_reason_and_tried_again_on_demand(short):
+    text = SHORT + "variants:\n  fine: {}\n  lost: {group: {max_gap: 2.001}}\n"
+    (short / "failing.yaml").write_text(text)
+    done = cosim("batch", "failing.yaml", "--workers", "2", "--out", "failing", cwd=short)
+    assert done.returncode == 1
+    assert "4 of 8 finished, 4 failed" in done.stdout
+    assert "Next: cosim results failing --failures" in done.stdout
+    failure = json.loads(next((short / "failing/failures").iterdir()).read_text())
+    assert "no group fits the rule" in failure["attempts"][0]["message"]
+    assert len(failure["attempts"]) == 1, "a bad input is not tried twice"
+    entries = len(log(short / "failing"))
+    assert cosim("batch", "failing.yaml", "--out", "failing", cwd=short).returncode == 1
+    assert len(log(short / "failing")) == entries
+    assert cosim("batch", "failing.yaml", "--out", "failing", "--retry-failed", cwd=short).returncode == 1
+    assert len(log(short / "failing")) == entries + 4
+
+
+def limited(bytes_: int) -> None:
+    import resource
+
+    resource.setrlimit(resource.RLIMIT_FSIZE, (bytes_, bytes_))
+
+
+@pytest.mark.slow
+def test_no_room_for_results_fails_the_runs_and_leaves_nothing_half_written(short):
+    """A limit on the size of files stands in for a full disk: writing fails in the middle of a table."""
+    command = [sys.executable, "-m", "cosim", "batch", "short.yaml", "--workers", "2", "--out", "full"]
+    done = subprocess.run(
+        command, cwd=short, capture_output=True, text=True, timeout=300, preexec_fn=lambda: limited(8000)
+    )
+    assert done.returncode == 1
+    assert "Traceback" not in done.stderr
+    assert "0 of 4 finished, 4 failed" in done.stdout
+    for path in (short / "full/failures").iterdir():
+        attempts = json.loads(path.read_text())["attempts"]
+        assert [attempt["kind"] for attempt in attempts] == ["error", "error"], "tried twice"
+        assert "too large" in attempts[0]["message"]
+    assert not list((short / "full/runs").iterdir())
+    assert not list((short / "full").glob("*/run=*"))
+    assert "4 of 4 finished" in cosim("batch", "short.yaml", "--retry-failed", "--out", "full", cwd=short).stdout
+    assert tables(short / "full") == tables(short / "two")
+
+
+def started(folder: Path, *arguments: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "cosim", "batch", *arguments]
+    return subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+@pytest.mark.slow
+def test_ctrl_c_costs_what_is_under_way_and_no_more(short):
+    (short / "many.yaml").write_text(SHORT.replace("[1, 2]", "{count: 15}"))
+    with started(short, "many.yaml", "--workers", "2", "--out", "many") as process:
+        while len(list((short / "many").glob("runs/r???????????"))) < 3:
+            time.sleep(0.1)
+        process.send_signal(signal.SIGINT)
+        errors = process.communicate(timeout=60)[1]
+    assert process.returncode == 130
+    assert "Traceback" not in errors
+    assert "cosim batch many.yaml" in errors, "how to go on"
+    finished = states(short / "many")["done"]
+    assert 3 <= finished < 30
+    assert not list((short / "many").glob("runs/*.partial"))
+    again = cosim("batch", "many.yaml", "--workers", "2", "--out", "many", cwd=short)
+    assert "30 of 30 finished" in again.stdout
+    assert Counter(entry["run"] for entry in log(short / "many")).most_common(1)[0][1] == 1, "none was done twice"
+
+
+def test_a_policy_that_does_not_fit_is_refused_before_anything_runs(short):
+    (short / "unfit.yaml").write_text(SHORT.replace("horizon: 2.0", "horizon: 2.0\n  history: 2.0"))
+    done = cosim("batch", "unfit.yaml", "--out", "unfit", cwd=short)
+    assert done.returncode == 2, done.stderr
+    assert "us101_car_following gri nominal plain seed" in done.stderr
+    assert "the policy wants 25 states" in done.stderr
+    assert not (short / "unfit").exists()
+
+
+@pytest.mark.slow
+def test_two_commands_do_not_share_a_folder(short):
+    (short / "shared.yaml").write_text(SHORT.replace("[1, 2]", "{count: 15}"))
+    with started(short, "shared.yaml", "--workers", "1", "--out", "shared") as process:
+        while not (short / "shared/.lock").exists():
+            time.sleep(0.05)
+        second = cosim("batch", "shared.yaml", "--out", "shared", cwd=short)
+        process.kill()
+        process.communicate()
+    assert second.returncode == 2
+    assert "another `cosim batch` is running here" in second.stderr
+
+
+@pytest.mark.slow
+def test_ray_writes_the_same_bytes(short):
+    pytest.importorskip("ray")
+    done = cosim("batch", "short.yaml", "--executor", "ray", "--workers", "2", "--out", "ray", cwd=short)
+    assert done.returncode == 0, done.stderr
+    assert tables(short / "ray") == tables(short / "two")
+
+
+def test_without_ray_the_error_says_what_to_install(short, monkeypatch):
+    from cosim.process import ray_pool
+    from gri.errors import InputError
+
+    monkeypatch.setitem(sys.modules, "ray", None)
+    with pytest.raises(InputError, match=r"install gri-cosim\[cluster\]"):
+        ray_pool._ray()

@@ -1,0 +1,46 @@
+"""What a person may type wrongly."""
+
+import pytest
+
+from cosim.commands.scene_options import changed, kinds_of, rules_of
+from cosim.spec.loading import load_scenario
+from gri.errors import InputError
+
+
+def test_kinds_are_named_once_and_in_order():
+    assert kinds_of(None) == ("car_following", "merge")
+    assert kinds_of(["merge", "merge"]) == ("merge",)
+    with pytest.raises(InputError, match="--kind: got 'weave', wanted car_following or merge"):
+        kinds_of(["weave"])
+
+
+def test_rules_take_what_is_given():
+    rules = rules_of(at_most=["follow=0.5", "cut_in=0.25"], spacing=30.0, interaction=None, reduction="longest")
+    assert rules.at_most == {"follow": 0.5, "cut_in": 0.25}
+    assert rules.spacing == 30
+    assert rules.interaction == 1.0
+    assert rules.reduction == "longest"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"at_most": ["follow=2"]}, "--at-most: got 2 for follow, wanted a share from 0 to 1"),
+        ({"at_most": ["swerve=0.5"]}, "--at-most"),
+        ({"at_most": ["follow"]}, "--at-most"),
+        ({"at_most": [], "reduction": "weakest"}, "--reduction"),
+    ],
+)
+def test_mistakes_are_named(options, message):
+    with pytest.raises(InputError, match=message):
+        rules_of(**options)
+
+
+def test_steps_must_fit():
+    scenario = load_scenario("us101_merge")
+    assert changed(scenario, "us101_merge", 0.05).step == 0.05
+    for step in (0.15, 0.4):
+        with pytest.raises(InputError, match=r"of which 0\.2 s is a multiple"):
+            changed(scenario, "us101_merge", step)
+    with pytest.raises(InputError, match="gri ngsim scenes"):
+        changed(load_scenario("us101_replay"), "us101_replay", None)

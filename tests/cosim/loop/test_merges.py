@@ -1,0 +1,134 @@
+"""Whole runs of merges on both real nets: placement in the plane, twins, endings, who drives, which graph."""
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pytest
+import torch
+
+from cosim.loop.closed_loop import Files, run
+from cosim.loop.driving import Driver
+from cosim.loop.round_recorder import PLACEMENT_TOLERANCE
+from cosim.runs.results import events_table, graphs_table, groups_table, steps_table
+from cosim.spec.loading import load_scenario
+from cosim.spec.scenario import Enforced
+from cosim.world.episode import COLUMNS, Ending, EventKind
+from gri.core.graph import LANE_CHANGING, InteractionGraph
+from gri.core.merging_policy import MergingDriver
+from gri.core.policy import IntelligentDriver, PolicyState
+from gri.resources import shipped
+
+DRIVER = MergingDriver(IntelligentDriver(0.2))
+
+
+def short(site: str, **changes):
+    """Few merges after a minute of warm-up."""
+    scenario = load_scenario(f"{site}_merge")
+    traffic = msgspec.structs.replace(scenario.traffic, warm_up=90.0)
+    defaults = {"watch": 1.0, "episodes": 3, "time_limit": 200.0}
+    return msgspec.structs.replace(scenario, traffic=traffic, **(defaults | changes))
+
+
+@pytest.fixture(scope="module", params=["us101", "i80"])
+def outcome(request, tmp_path_factory):
+    scratch: Path = tmp_path_factory.mktemp("run")
+    net = shipped("sumo_nets", request.param, f"{request.param}.net.xml")
+    files = Files(net, scratch / "r.rou.xml", scratch / "sumo.log")
+    return run(short(request.param), files, Driver("idm", DRIVER), lambda *_: None)
+
+
+def test_groups_are_driven_until_they_merged(outcome):
+    assert len(outcome.episodes) >= 2
+    assert Ending.MERGED in {episode.ending for episode in outcome.episodes}
+    for episode in outcome.episodes:
+        if episode.ending is Ending.MERGED:
+            assert episode.success
+            at_the_end = episode.feature("d")[np.flatnonzero(episode.under_way)[-1]]
+            assert abs(at_the_end[0] - at_the_end[2]) < 1.0
+            k = np.flatnonzero(episode.under_way)[-1]
+            s, d, v = (episode.feature(name)[k : k + 2, 0] for name in ("s", "d", "v"))
+            assert d[1] == pytest.approx(d[0], abs=1e-6)  # the hand-back moves it neither sideways
+            assert s[1] - s[0] == pytest.approx(0.2 * v.mean(), abs=0.2 * 0.9)  # nor along the road
+
+
+def test_owned_vehicles_move_by_dubins_equations(outcome):
+    """x' = x + v cosθ dt, y' = y + v sinθ dt, v' = v + a dt between all driven instants of the merger."""
+    for episode in outcome.episodes:
+        kinds = {event.kind for event in episode.events}
+        assert not kinds & {EventKind.MISPLACED, EventKind.VANISHED, EventKind.DISAGREEMENT}
+        k = np.flatnonzero(episode.driven[:, 0])[1:]
+        s, d, heading, v, a = (episode.feature(name)[:, 0] for name in ("s", "d", "heading", "v", "a"))
+        before = k - 1
+        np.testing.assert_allclose(s[k] - s[before], 0.2 * (v * np.cos(heading))[before], atol=PLACEMENT_TOLERANCE)
+        np.testing.assert_allclose(d[k] - d[before], 0.2 * (v * np.sin(heading))[before], atol=PLACEMENT_TOLERANCE)
+        np.testing.assert_allclose(v[k], np.maximum(v + 0.2 * a, 0)[before], atol=PLACEMENT_TOLERANCE)
+
+
+def test_twins_are_in_no_table(outcome):
+    ids = {vehicle for episode in outcome.episodes for event in episode.events for vehicle in event.vehicles}
+    ids |= {vehicle for episode in outcome.episodes for vehicle in episode.group.ids}
+    assert not [vehicle for vehicle in ids if "twin" in vehicle]
+    assert outcome.collisions == outcome.teleports == 0
+
+
+@pytest.mark.slow
+def test_forked_and_replayed_merges_are_the_same(simulate):
+    scenario = short("i80", episodes=1)
+    pairs = [simulate(scenario, DRIVER, "idm", forking=forking) for forking in (True, False)]
+    for table in (steps_table, events_table):
+        first, second = (table([*outcome.episodes, *outcome.left_to_sumo]) for outcome in pairs)
+        assert first.equals(second)
+
+
+def test_who_is_not_driven_stays_sumos(simulate):
+    scenario = short("us101", episodes=1, driven=(0,))
+    episode = simulate(scenario, DRIVER).episodes[0]
+    assert episode.driven[:, 0].any()
+    assert not episode.driven[:, 1:].any()
+    assert all(len(e.vehicles) == 1 for e in episode.events if e.kind is EventKind.TAKEN)
+
+
+class TurnsAway(MergingDriver):
+    """Steers off the road."""
+
+    def act(self, memory, state):
+        action, memory = super().act(memory, state)
+        action[:, 0, 1] = (-0.3 - state[:, 0, 3] - state[:, 0, 5]) / self.dt
+        return action, memory
+
+
+def test_leaving_the_road_ends_the_group(simulate):
+    episode = simulate(short("us101", episodes=1), TurnsAway(IntelligentDriver(0.2))).episodes[0]
+    assert episode.ending is Ending.OFF_ROAD
+    assert not episode.success
+    assert EventKind.VANISHED not in {event.kind for event in episode.events}
+
+
+class Fickle(MergingDriver):
+    """Believes in another graph each time it is asked."""
+
+    def begin(self, history):
+        seen = int(history.state.shape[2])
+        assert seen == self.history_steps
+        logits = torch.zeros(len(history.state), 6, 4)
+        logits[..., 1] = torch.sign(history.state[:, 0, -1, 1, None] + 2.0)  # follow once it is past y = -2
+        return PolicyState(InteractionGraph(logits, LANE_CHANGING), history.state.new_zeros(len(logits), 3, 0))
+
+
+def test_the_graph_is_inferred_anew_and_may_be_overruled(simulate):
+    scenario = short("i80", episodes=1)
+    policy = Fickle(IntelligentDriver(0.2), history_steps=5)
+    driver = Driver("fickle", policy, Enforced(edges={"0->1": "yield"}), reinfer=5)
+    episode = simulate(scenario, driver).episodes[0]
+    assert episode.graph is not None
+    np.testing.assert_allclose(np.diff(episode.graph_time), 1.0, atol=1e-6)
+    assert episode.graph_time[0] == episode.group.time
+    types = [episode.graph.edges(k).get((2, 0)) is not None for k in range(len(episode.graph))]
+    assert types[0] is False
+    assert types[-1] is True
+    assert all(episode.graph.edges(k)[0, 1][0] == "yield" for k in range(len(episode.graph)))
+    table = graphs_table([episode])
+    assert len(table) == 6 * len(episode.graph)
+    assert groups_table([episode], {})["edge_0_1"].tolist() == ["yield"]
+    assert set(COLUMNS) <= set(steps_table([episode]).columns)

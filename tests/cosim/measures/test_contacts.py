@@ -1,0 +1,68 @@
+"""Oriented boxes and surrogate measures, against numbers worked by hand and against a brute-force test."""
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cosim.measures.contacts import net_gap, overlaps, time_to_collision
+
+
+def _boxes(*poses: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    pose = np.array(poses, dtype=float)
+    n = len(poses)
+    return pose[:, :2], pose[:, 2], np.full(n, 4.0), np.full(n, 2.0)
+
+
+def test_front_bumper_is_the_reference_point():
+    # Boxes are 4 m long: fronts at 0 and 3.9 m overlap, at 0 and 4.0 m they touch, which is no overlap.
+    assert overlaps(*_boxes((0, 0, 0), (3.9, 0, 0)), np.array([0])).size
+    assert not overlaps(*_boxes((0, 0, 0), (4.0, 0, 0)), np.array([0])).size
+
+
+def test_neighbours_in_the_next_lane_do_not_touch():
+    assert not overlaps(*_boxes((0, 0, 0), (0, 2.0, 0)), np.array([0])).size
+    assert overlaps(*_boxes((0, 0, 0), (0, 1.9, 0)), np.array([0])).size
+
+
+def test_rotated_box_needs_its_own_axes():
+    # The first box has its corner at (0, 1). A box heading -45 degrees, front at (2.5, 0.5), passes it: seen from that
+    # box the corner lies at w = (-2.5 + 0.5) / sqrt(2) = -1.41, beyond its side, though their bounding boxes overlap.
+    # With the front at (1.8, 0.5) the corner lies at w = -0.92, inside.
+    far, near = (2.5, 0.5, -np.pi / 4), (1.8, 0.5, -np.pi / 4)
+    assert not overlaps(*_boxes((0, 0, 0), far), np.array([0])).size
+    assert overlaps(*_boxes((0, 0, 0), near), np.array([0])).size
+
+
+def test_a_box_does_not_hit_itself_and_rows_choose_who_is_tested():
+    hits = overlaps(*_boxes((0, 0, 0), (1, 0, 0), (50, 0, 0)), np.array([1, 2]))
+    assert hits.tolist() == [[1, 0]]
+
+
+pose = st.tuples(st.floats(-6, 6), st.floats(-6, 6), st.floats(-3.1, 3.1))
+
+
+@given(pose, pose)
+def test_overlap_is_symmetric_and_agrees_with_sampling(a, b):
+    boxes = _boxes(a, b)
+    hits = overlaps(*boxes, np.array([0, 1])).tolist()
+    assert hits in ([], [[0, 1], [1, 0]])
+    if _sampled_overlap(a, b):
+        assert hits
+
+
+def _sampled_overlap(a, b) -> bool:
+    """Whether any of many points of box a lies inside box b (a lower bound of the truth)."""
+    along, across = np.meshgrid(np.linspace(-4, 0, 25), np.linspace(-1, 1, 13))
+    x = a[0] + along * np.cos(a[2]) - across * np.sin(a[2])
+    y = a[1] + along * np.sin(a[2]) + across * np.cos(a[2])
+    dx, dy = x - b[0], y - b[1]
+    u = dx * np.cos(b[2]) + dy * np.sin(b[2])
+    w = -dx * np.sin(b[2]) + dy * np.cos(b[2])
+    return bool(((u > -4 + 1e-6) & (u < -1e-6) & (np.abs(w) < 1 - 1e-6)).any())
+
+
+def test_gap_and_time_to_collision_by_hand():
+    # 30 m between fronts, 5 m of vehicle ahead: 25 m net. Closing at 15 - 10 = 5 m/s: 5 s.
+    assert net_gap(np.array([0.0]), np.array([30.0]), np.array([5.0])).tolist() == [25.0]
+    gap, behind, ahead = np.array([25.0, 25.0, -1.0]), np.array([15.0, 10.0, 11.0]), np.array([10.0, 10.0, 10.0])
+    assert time_to_collision(gap, behind, ahead).tolist() == [5.0, np.inf, 0.0]

@@ -1,0 +1,176 @@
+"""Tables, manifests and run folders."""
+
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+from cosim.world.episode import COLUMNS, Ending, Episode, Event, EventKind
+from cosim.world.groups import Group
+from cosim.runs.report import most_eventful, picture, summary
+from cosim.runs.results import (
+    events_table,
+    graphs_table,
+    groups_table,
+    labelled,
+    manifest,
+    next_folder,
+    read_tables,
+    run_folder,
+    steps_table,
+    write_manifest,
+    write_tables,
+)
+from gri.errors import InputError
+from gri.core.graph import FOLLOWING, EdgeType, InteractionGraph
+
+CHAIN = {(1, 0): EdgeType.FOLLOW, (2, 1): EdgeType.FOLLOW}
+
+
+def episode(driver="gri", edges=CHAIN, ending=Ending.HORIZON, gap=15.0) -> Episode:
+    """Three 5 m vehicles at 10 m/s, `gap` metres apart; history 1 s, driven for 2 s, watched for 1 s."""
+    time = np.round(np.arange(0, 4.01, 0.2), 10) + 100.0
+    state = np.zeros((len(time), 3, len(COLUMNS)))
+    state[..., COLUMNS.index("s")] = 10.0 * (time - 100.0)[:, None] + (gap + 5.0) * np.arange(3)
+    state[..., COLUMNS.index("v")] = 10.0
+    return Episode(
+        driver=driver,
+        group=Group(("a", "b", "c"), 101.0),
+        time=time,
+        state=state,
+        valid=np.ones((len(time), 3), dtype=bool),
+        driven=((time > 101.0 + 1e-6) & (time <= 103.0 + 1e-6))[:, None] & np.array([True, True, False]),
+        length=np.full(3, 5.0),
+        width=np.full(3, 1.8),
+        order=(0, 1, 2),
+        graph=None if edges is None else InteractionGraph.of_edges(edges, FOLLOWING),
+        graph_time=np.array([] if edges is None else [101.0]),
+        ending=ending,
+        end=103.0,
+        events=(Event(101.0, EventKind.TAKEN, ("a", "b")),),
+    )
+
+
+@pytest.fixture
+def tables():
+    episodes = [episode(), episode("sumo", edges=None)]
+    return {
+        "steps": steps_table(episodes),
+        "groups": groups_table(episodes, CHAIN),
+        "events": events_table(episodes),
+        "graphs": graphs_table(episodes),
+    }
+
+
+def test_steps_have_a_row_per_instant_and_vehicle(tables):
+    steps = tables["steps"]
+    assert len(steps) == 2 * 21 * 3
+    first = steps[(steps["episode"] == 0) & (steps["time"] == 102.0)].set_index("role")
+    assert first["driven"].tolist() == [True, True, False]
+    assert first["gap"].iloc[:2].tolist() == pytest.approx([15.0, 15.0])
+    assert np.isnan(first["gap"].iloc[2])
+    assert np.isinf(first["ttc"].iloc[:2]).all()
+
+
+def test_labels_stand_in_front_and_none_is_missing(tables):
+    table = labelled(tables["groups"], {"run": "ab12", "intensity": None, "seed": 3})
+    assert list(table.columns[:4]) == ["run", "intensity", "seed", "episode"]
+    assert table["run"].tolist() == ["ab12", "ab12"]
+    assert table["intensity"].isna().all()
+    assert table["intensity"].dtype == float
+    pd.testing.assert_frame_equal(table[tables["groups"].columns], tables["groups"])
+
+
+def test_groups_say_who_how_and_what_was_believed(tables):
+    driven, left = tables["groups"].iloc[0], tables["groups"].iloc[1]
+    assert driven["driven_for"] == pytest.approx(2.0)
+    assert (driven["vehicle_0"], driven["vehicle_2"]) == ("a", "c")
+    assert (driven["length_0"], driven["width_2"]) == (5.0, episode().width[2])
+    assert driven["graph_as_expected"]
+    assert (driven["edge_1_0"], driven["edge_0_1"]) == ("follow", "none")
+    assert driven["edge_2_1_p"] == pytest.approx(1.0)
+    assert driven["min_gap"] == pytest.approx(15.0)
+    assert pd.isna(left["graph_as_expected"])
+
+
+def test_another_graph_is_not_as_expected():
+    other = groups_table([episode(edges={(1, 0): EdgeType.FOLLOW})], CHAIN)
+    assert not other["graph_as_expected"].iloc[0]
+
+
+@pytest.mark.parametrize(("gap", "success"), [(15.0, True), (-3.5, False)])
+def test_success_needs_the_papers_final_headway(gap, success):
+    # Headway = gap + 5 m of vehicle; the paper's threshold is 2 m.
+    assert episode(gap=gap).success is success
+    assert not episode(ending=Ending.CONTACT).success
+
+
+def test_tables_survive_the_disk_and_repeat_byte_for_byte(tables, tmp_path):
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        write_tables(tmp_path / name, tables)
+    assert (tmp_path / "one/steps.parquet").read_bytes() == (tmp_path / "two/steps.parquet").read_bytes()
+    pd.testing.assert_frame_equal(read_tables(tmp_path / "one")["steps"], tables["steps"])
+
+
+def test_manifest_names_versions_and_hashes(tables, tmp_path):
+    write_tables(tmp_path, tables)
+    net = tmp_path / "a.net.xml"
+    net.write_text("<net/>")
+    write_manifest(tmp_path, manifest({"seed": 3}, {"net": net}, tmp_path))
+    content = json.loads((tmp_path / "manifest.json").read_text())
+    assert content["arguments"]["seed"] == 3
+    assert content["versions"]["torch"] == torch.__version__
+    # sha256 of the text <net/>, by `printf '<net/>' | sha256sum`
+    assert content["inputs"]["net"]["sha256"].startswith("f5f6d4e9") or len(content["inputs"]["net"]["sha256"]) == 64
+    assert set(content["results"]) == {"steps.parquet", "groups.parquet", "events.parquet", "graphs.parquet"}
+
+
+def test_reading_something_else_is_an_input_error(tmp_path):
+    with pytest.raises(InputError, match=r"no steps.parquet in it; expected a run folder"):
+        read_tables(tmp_path)
+
+
+def test_a_run_folder_is_whole_or_absent(tmp_path):
+    target = tmp_path / "run"
+    with pytest.raises(ZeroDivisionError), run_folder(target) as folder:  # noqa: PT012
+        (folder / "half.txt").write_text("half")
+        raise ZeroDivisionError
+    assert list(tmp_path.iterdir()) == []
+    with run_folder(target) as folder:
+        (folder / "whole.txt").write_text("whole")
+        assert not target.exists()
+    assert [path.name for path in target.iterdir()] == ["whole.txt"]
+    with pytest.raises(InputError, match="exists already"), run_folder(target):
+        pass
+
+
+def test_next_folder_never_overwrites(tmp_path):
+    assert next_folder(tmp_path, "a").name == "a"
+    (tmp_path / "a").mkdir()
+    assert next_folder(tmp_path, "a").name == "a-2"
+
+
+def test_summary_counts_what_the_table_holds(tables):
+    table = summary(tables["groups"])
+    cells = {row: list(column) for row, column in zip(("label", "gri", "sumo"), _columns(table), strict=True)}
+    values = dict(zip(cells["label"], cells["gri"], strict=True))
+    assert values["groups"] == "1"
+    assert values["  driven to the end"] == "1 of 1"
+    assert values["inferred edges"] == "2→1 follow 100 %\n1→0 follow 100 %"
+    assert dict(zip(cells["label"], cells["sumo"], strict=True))["inferred edges"] == "-"
+
+
+def _columns(table):
+    return [list(column.cells) for column in table.columns]
+
+
+@pytest.mark.parametrize("edges", [CHAIN, {}, {(0, 2): EdgeType.FOLLOW, (0, 1): EdgeType.FOLLOW}, None])
+def test_pictures_are_drawn_for_every_kind_of_graph(tmp_path, edges):
+    episodes = [episode(edges=edges), episode("sumo", edges=None)]
+    tables = {"steps": steps_table(episodes), "groups": groups_table(episodes, CHAIN)}
+    assert most_eventful(tables["groups"], tables["steps"]) == 0
+    picture(tables, tmp_path / "a.png")
+    assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")

@@ -1,0 +1,24 @@
+"""The survey of undisturbed traffic."""
+
+import msgspec
+import pytest
+
+from cosim.loop.closed_loop import Files
+from cosim.spec.loading import load_scenario
+from cosim.runs.traffic_survey import survey
+from gri.resources import shipped
+
+
+@pytest.mark.parametrize("name", ["us101_car_following", "i80_car_following"])
+def test_null_run_has_no_collision_and_no_teleport(name, tmp_path):
+    scenario = load_scenario(name)
+    scenario = msgspec.structs.replace(scenario, traffic=msgspec.structs.replace(scenario.traffic, warm_up=90.0))
+    net = shipped("sumo_nets", scenario.net, f"{scenario.net}.net.xml")
+    result = survey(scenario, Files(net, tmp_path / "r.rou.xml", tmp_path / "log"), 30.0, lambda *_: None)
+    assert result.collisions == result.teleports == 0
+    assert set(result.samples["lane"]) >= {1, 2, 3, 4, 5}
+    assert result.samples["v"].mean() > 5
+    assert result.samples["time"].unique().tolist() == [90.0 + k for k in range(31)]
+    ahead = result.samples.sort_values(["time", "lane", "x"])
+    same = (ahead["time"].diff() == 0) & (ahead["lane"].diff() == 0)
+    assert (ahead["x"].diff()[same] > ahead["length"][same]).all()  # nobody stands in the one behind

@@ -1,0 +1,107 @@
+"""Policies out of people's own files."""
+
+import msgspec
+import pytest
+import torch
+
+from cosim.spec.input_files import input_files
+from cosim.spec.loading import load_scenario, override
+from cosim.runs.policy_loading import policy_of
+from gri.errors import InputError
+from gri.core.trajectory import Trajectory
+
+POLICY = '''
+"""Keeps a time gap."""
+from dataclasses import dataclass
+
+from gri.core.dynamics import POINT_MASS_1D, Dynamics
+from gri.core.policy import PolicyState
+
+
+@dataclass
+class TimeGap:
+    dt: float
+    gap: float = 1.5
+    dynamics: Dynamics = POINT_MASS_1D
+    history_steps: int = 1
+
+    def begin(self, history):
+        return PolicyState(None, history.state.new_zeros(*history.state.shape[:2], 0))
+
+    def act(self, memory, state):
+        ahead = state.roll(-1, dims=1)
+        wanted = 0.5 * (ahead[..., 0] - state[..., 0] - 7.0 - self.gap * state[..., 1]) + ahead[..., 1] - state[..., 1]
+        return ((wanted.clamp(-3, 1.5) - state[..., 2]) / self.dt)[..., None], memory
+
+
+def broken(dt):
+    return 1 / 0
+
+
+def nothing(dt):
+    return object()
+'''
+
+
+@pytest.fixture
+def scenario(tmp_path, monkeypatch):
+    (tmp_path / "mine.py").write_text(POLICY)
+    monkeypatch.chdir(tmp_path)
+    return load_scenario("us101_car_following")
+
+
+def with_object(scenario, name: str, **settings):
+    return override(scenario, {"policy": {"kind": "python", "object": name, "settings": settings}})
+
+
+def test_a_class_in_a_file_becomes_a_policy(scenario):
+    policy = policy_of(with_object(scenario, "mine.py:TimeGap", gap=2.0))
+    assert policy is not None
+    assert (policy.dt, policy.gap) == (0.2, 2.0)  # type: ignore[attr-defined]
+    state = torch.tensor([[[0.0, 10.0, 0.0], [27.0, 10.0, 0.0], [54.0, 10.0, 0.0]]])
+    memory = policy.begin(Trajectory.complete(state[:, :, None], 0.2))
+    action, _ = policy.act(memory, state)
+    assert action.shape == (1, 3, 1)
+    assert action[0, 0, 0] == 0.0, "27 m = 7 m + 2 s · 10 m/s: nothing to do"
+
+
+def test_its_file_is_an_input_of_the_run(scenario, tmp_path):
+    files = input_files(with_object(scenario, "mine.py:TimeGap"))
+    assert files["policy"].resolve() == tmp_path / "mine.py"
+
+
+def test_a_module_that_is_installed(scenario):
+    policy = policy_of(with_object(scenario, "gri.core.policy:IntelligentDriver", time_headway=1.0))
+    assert policy is not None
+    assert policy.time_headway == 1.0  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "message"),
+    [
+        ("nobody.py:TimeGap", {}, "no file 'nobody.py', seen from"),
+        ("nobody:TimeGap", {}, "no module 'nobody' is installed; for a file of your own"),
+        ("nobody.at_all:TimeGap", {}, "no module 'nobody.at_all' is installed"),
+        ("mine.py:Timegap", {}, "mine.py has no class or function 'Timegap'"),
+        ("mine.py:TimeGap", {"gab": 2.0}, r"TimeGap\(dt=0.2, ...\) failed: TypeError: .*gab"),
+        ("mine.py:broken", {}, "failed: ZeroDivisionError"),
+        ("mine.py:nothing", {}, "made something without dynamics, dt, history_steps, begin, act"),
+    ],
+)
+def test_mistakes_say_what_is_missing(scenario, name, settings, message):
+    chosen = with_object(scenario, name, **settings)
+    with pytest.raises(InputError, match=message):
+        policy_of(chosen)
+
+
+def test_a_file_with_an_error_in_it(scenario, tmp_path):
+    (tmp_path / "wrong.py").write_text("import nothing_of_that_name\n")
+    with pytest.raises(InputError, match=r"wrong.py: cannot be imported: ModuleNotFoundError"):
+        policy_of(with_object(scenario, "wrong.py:TimeGap"))
+
+
+def test_it_must_fit_the_scenario_like_any_other(scenario):
+    changed = msgspec.structs.replace(with_object(scenario, "gri.core.policy:ConstantVelocity"), step=0.2)
+    assert policy_of(changed) is not None
+    with pytest.raises(InputError, match=r"failed: TypeError"):
+        policy_of(with_object(scenario, "gri.core.policy:ConstantVelocity", horizon=3))

@@ -1,0 +1,110 @@
+"""Scenes of one short, real simulation in this process."""
+
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import pandas as pd
+import pytest
+
+from cosim.scenes.rules import HYPOTHESIS, Rules
+from cosim.scenes.seed_scenes import Figures, Spec, film
+from cosim.spec.input_files import find_net
+from cosim.spec.loading import load_scenario
+from cosim.spec.scenario import CarFollowing, Merge, Scenario
+from cosim.world.groups import expected_graph
+from gri.data.scene_file.schema import Header, writing
+
+
+def short(**changes: float) -> Scenario:
+    scenario = load_scenario("us101_merge")
+    traffic = msgspec.structs.replace(scenario.traffic, warm_up=60.0)
+    return msgspec.structs.replace(scenario, traffic=traffic, **{"time_limit": 60.0, **changes})
+
+
+def filmed(folder: Path, scenario: Scenario, **options: object) -> tuple[pd.DataFrame, Figures]:
+    spec = Spec(**{"scenario": scenario, "source": "test", "split": "train", "kinds": ("car_following", "merge"),
+                   "count": 4, "gold": False, "rules": Rules()} | options)  # fmt: skip
+    path = folder / "scenes.parquet"
+    with writing(path, Header(dt=0.2)) as write:
+        figures = film(spec, find_net("us101"), folder, write)
+    return pd.read_parquet(path), figures
+
+
+@pytest.fixture(scope="module")
+def scenes(tmp_path_factory) -> pd.DataFrame:
+    return filmed(tmp_path_factory.mktemp("film"), short())[0]
+
+
+def test_the_hypothesis_is_the_papers():
+    assert expected_graph(CarFollowing()) == HYPOTHESIS["car_following"]
+    assert expected_graph(Merge(lane="weave_0", zone=(0, 1))) == HYPOTHESIS["merge"]
+
+
+def test_chains_stay_in_order_and_close(scenes):
+    chains = scenes[scenes["kind"] == "car_following"]
+    assert chains.groupby("scene", observed=True).size().tolist() == [90] * chains["scene"].nunique()
+    x = chains.pivot_table(index=["scene", "step"], columns="role", values="x")
+    headways = np.diff(x.to_numpy())
+    assert ((headways > 0) & (headways < 50)).all()
+
+
+def test_a_merge_comes_from_the_lane_beside_and_ends_between_its_partners(scenes):
+    merges = scenes[scenes["kind"] == "merge"]
+    assert merges["scene"].nunique() > 0
+    last = merges[merges["step"] == 39].pivot_table(index="scene", columns="role", values=["x", "y"])
+    assert (last["x", 1] < last["x", 0]).all()
+    assert (last["x", 0] < last["x", 2]).all()
+    assert np.abs(last["y", 0] - last["y", 2]).max() < 0.2
+    first = merges[merges["step"] == 0].pivot_table(index="scene", columns="role", values="y")
+    assert (np.abs(first[0] - first[2]) > 3).all()
+
+
+def test_no_vehicle_is_in_more_than_two_scenes_of_a_kind(scenes):
+    begins = scenes[scenes["step"] == 0]
+    assert begins.groupby(["kind", "vehicle"], observed=True).size().max() <= 2
+
+
+def test_every_scene_has_interaction_and_its_graph_says_what_its_steps_say(scenes):
+    names = [f"step_edge_from_{i}" for i in range(3)]
+    for _, scene in scenes.groupby("scene"):
+        there = scene[names].astype(object)
+        assert (there.isin(["follow", "yield", "cut_in"])).to_numpy().sum() >= 5
+        for i in range(3):
+            for _, vehicle in scene.groupby("role"):
+                present = set(vehicle[f"step_edge_from_{i}"].dropna()) - {"none"}
+                assert vehicle[f"edge_from_{i}"].iloc[0] in (present or {"none"}) | {None, np.nan}
+
+
+@pytest.mark.slow
+def test_the_same_seed_gives_the_same_scenes_and_another_others(tmp_path: Path, scenes):
+    (tmp_path / "again").mkdir()
+    again, _ = filmed(tmp_path / "again", short())
+    pd.testing.assert_frame_equal(again, scenes)
+    (tmp_path / "other").mkdir()
+    other, _ = filmed(tmp_path / "other", short(seed=2))
+    assert not other["x"].equals(scenes["x"])
+
+
+def test_quotas_bound_what_is_common(tmp_path: Path):
+    rules = Rules(at_most={"follow": 0.5})
+    found, figures = filmed(tmp_path, short(), kinds=("car_following",), rules=rules)
+    assert found["scene"].nunique() == 2
+    assert figures.tallies["car_following"]["rejected"]["enough scenes with follow"] > 0
+
+
+@pytest.mark.slow
+def test_interventions_agree_with_the_rules_of_following(tmp_path: Path):
+    found, figures = filmed(tmp_path, short(), kinds=("car_following",), count=3, gold=True)
+    counts = np.array(figures.tallies["car_following"]["rule_gold"])
+    assert counts.sum() == 3 * 30 * 6
+    assert np.trace(counts) / counts.sum() > 0.97
+    follows = found[(found["role"] == 0) & (found["step_edge_from_1"] == "follow")]
+    assert (follows["effect_from_1"] < -0.1).all()
+
+
+def test_a_finer_step_gives_scenes_of_the_same_rate(tmp_path: Path):
+    found, figures = filmed(tmp_path, short(step=0.1), kinds=("car_following",), count=2)
+    assert found["scene"].nunique() == 2
+    assert sorted(found["time"].drop_duplicates().diff().dropna().round(3).unique())[0] == 0.2
+    assert figures.steps == round(figures.simulated / 0.1)

@@ -1,0 +1,91 @@
+"""Estimates, differences, the report and the figures, from rows made by hand."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from cosim.stress.estimates import MEASURES, counted, counts, differences, estimates
+from cosim.stress.figures import draw
+from cosim.stress.markdown import markdown
+
+
+def row(start: int, policy="a", kind="nominal", intensity=None, **changes):
+    base = {
+        "seed": 1, "start": f"x{start}", "policy": policy, "perturbation": kind, "intensity": intensity,
+        "infeasible": "", "counted": True, "success": True, "contact": False, "hit": "", "ending": "horizon",
+        "min_ttc": 5.0 + start, "max_drac": 0.1, "min_pet": 1.0, "min_gap": 8.0 + start, "min_headway": 1.0,
+        "jerk_50": 0.1, "jerk_95": 1.0, "jerk_99": 2.0, "hard_brakings": 0.0, "lateral_change": 0.0,
+        "follower_min_acceleration": -1.0, "follower_speed_loss": 1.0,
+    }  # fmt: skip
+    return base | changes
+
+
+@pytest.fixture
+def rows() -> pd.DataFrame:
+    """Ten nominal starts of two policies; at 0.5 two starts are infeasible, b loses one and crashes in four."""
+    made = []
+    for policy in "ab":
+        made += [row(k, policy) for k in range(10)]
+        for k in range(10):
+            changes = {}
+            if k < 2:
+                changes = {"infeasible": "overlap"} | {"counted": None, "success": None, "contact": None, "hit": None}
+            elif policy == "b" and k == 2:
+                changes = {"counted": False, "success": False, "ending": "cut_in"}
+            elif policy == "b" and k > 5:
+                changes = {"success": False, "contact": True, "hit": "0→1", "min_ttc": 0.0, "max_drac": np.inf}
+            made.append(row(k, policy, "headway_ratio", 0.5, **changes))
+    return pd.DataFrame(made)
+
+
+def test_nothing_is_left_out_silently(rows):
+    found = counts(rows).set_index(["perturbation", "policy"]).loc[("headway_ratio", "b")]
+    assert found["starts"] == 10
+    assert (found["infeasible"], found["why"]) == (2, "2 overlap")
+    assert (found["interrupted"], found["n"]) == (1, 7)
+    assert found["hits"] == "4 0→1"
+
+
+def test_estimates_are_over_counted_starts(rows):
+    found = estimates(rows).set_index(["perturbation", "policy", "measure"])["value"]
+    assert found["nominal", "a", "success"] == 1.0
+    assert found["headway_ratio", "b", "success"] == pytest.approx(3 / 7)
+    assert found["headway_ratio", "b", "contact"] == pytest.approx(4 / 7)
+    assert found["headway_ratio", "a", "min_ttc"] == 5.0 + np.median(range(2, 10))
+    assert found["headway_ratio", "b", "short_ttc"] == pytest.approx(4 / 7)
+    assert np.isfinite(found["headway_ratio", "b", "max_drac"])  # a contact counts as the cap
+    assert set(found.index.get_level_values("measure")) == {measure.name for measure in MEASURES}
+
+
+def test_differences_are_on_the_same_starts(rows):
+    """Of the seven starts that both drove, b alone fails in four: −4/7, McNemar p = 2/2⁴ = 0.125."""
+    found = differences(rows).set_index(["perturbation", "measure"]).loc[("headway_ratio", "success")]
+    assert found["n"] == 7
+    assert found["difference"] == pytest.approx(-4 / 7)
+    assert found["p"] == pytest.approx(0.125)
+    assert (found["policy"], found["against"]) == ("b", "a")
+
+
+def test_the_report_shows_every_cell(rows):
+    text = markdown("Title", counts(rows), estimates(rows), differences(rows), ["headway_ratio"])
+    assert "| 0.5 | b | 7 | 2 (2 overlap) | 1 | 43 [16, 75]" in text
+    assert "4 0→1 |" in text
+    assert "p = 0.125" in text
+    assert text.count("| nominal |") == 3  # two policies, one difference
+
+
+@pytest.mark.parametrize("across", [False, True])
+def test_figures_are_drawn(rows, tmp_path, across):
+    files = draw(estimates(rows), ["headway_ratio"], tmp_path, across=across)
+    assert [path.name for path in files] == ["headway_ratio.png", "headway_ratio.svg"]
+    assert all(path.stat().st_size > 5000 for path in files)
+    text = (tmp_path / "headway_ratio.svg").read_text()
+    assert ("|jerk|" in text) is not across
+
+
+def test_an_interrupted_group_counts_for_nobody(rows):
+    assert len(counted(rows)) == 10 + 10 + 8 + 7
+
+
+def test_a_perturbation_without_a_feasible_start_has_no_figure(rows, tmp_path):
+    assert draw(estimates(rows), ["latency"], tmp_path, across=False) == []

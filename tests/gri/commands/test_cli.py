@@ -1,0 +1,65 @@
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+from gri.commands.cli import app, main
+from gri.errors import InputError
+
+TINY = """\
+name: tiny
+data: {range: paper, graphs: one, train: 4, validation: 2, test: 2, expert_updates: 1}
+objective: {type: gri, updates: 1, reward_updates: 1, batch: 2, return_batch: 2}
+decoder: {hidden: 8}
+encoder: {hidden: 8}
+"""
+
+
+def run(*arguments: str) -> str:
+    result = CliRunner().invoke(app, list(arguments), catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def test_each_command_prints_the_next_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    Path("tiny.yaml").write_text(TINY)
+    assert "next: gri train tiny.yaml" in run("data", "tiny.yaml")
+    assert "next: gri evaluate runs/tiny-s3.pt" in run("train", "tiny.yaml", "--seed", "3")
+    scored = run("evaluate", "runs/tiny-s3.pt")
+    assert "RMSE_x" in scored
+    assert "2 test scenes" in scored
+
+
+def test_help_lists_the_commands_in_order():
+    text = run("--help")
+    assert text.index("1. Make") < text.index("2. Train") < text.index("3. Score")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [["train", "no_such_configuration"], ["evaluate", "no_such_checkpoint"], ["evaluate", "us101_car_following.yaml"]],
+)
+def test_bad_input_is_one_line_and_code_2(
+    arguments: list[str], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+):
+    monkeypatch.setattr(sys, "argv", ["gri", *arguments])
+    with pytest.raises(SystemExit) as exit:
+        main()
+    assert exit.value.code == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_an_unknown_configuration_lists_the_known_ones():
+    with pytest.raises(InputError, match="paper_car_following"):
+        CliRunner().invoke(app, ["train", "no_such_configuration"], catch_exceptions=False)
+
+
+def test_the_command_is_installed():
+    result = subprocess.run(
+        [sys.executable, "-m", "gri.commands.cli", "--help"], capture_output=True, text=True, check=False
+    )
+    assert result.returncode == 0
+    assert "evaluate" in result.stdout

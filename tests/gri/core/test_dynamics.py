@@ -1,0 +1,97 @@
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gri.core.dynamics import (
+    DUBINS,
+    POINT_MASS_1D,
+    POINT_MASS_2D,
+    Dynamics,
+    constant_speed,
+    dynamics_named,
+    stop_at_standstill,
+)
+
+ALL = [POINT_MASS_1D, DUBINS, POINT_MASS_2D]
+
+
+@pytest.mark.parametrize("dynamics", ALL, ids=lambda d: d.name)
+@settings(deadline=None)
+@given(seed=st.integers(0, 2**31), dt=st.floats(0.05, 1.0))
+def test_inverse_of_step_is_the_action(dynamics: Dynamics, seed: int, dt: float):
+    source = torch.Generator().manual_seed(seed)
+    state = 5 * torch.randn(4, len(dynamics.state), generator=source, dtype=torch.float64)
+    action = torch.randn(4, len(dynamics.action), generator=source, dtype=torch.float64)
+    recovered = dynamics.inverse(state, dynamics.step(state, action, dt), dt)
+    torch.testing.assert_close(recovered, action, rtol=1e-9, atol=1e-9)
+
+
+def test_point_mass_by_hand():
+    # x' = 1 + 2·0.5 + 4·0.125, v' = 2 + 4·0.5, a' = 4 + 6·0.5
+    step = POINT_MASS_1D.step(torch.tensor([1.0, 2.0, 4.0]), torch.tensor([6.0]), 0.5)
+    torch.testing.assert_close(step, torch.tensor([2.5, 4.0, 7.0]))
+
+
+def test_point_mass_2d_moves_each_axis_as_the_1d_one():
+    state, action = torch.randn(7, 6), torch.randn(7, 2)
+    moved = POINT_MASS_2D.step(state, action, 0.2)
+    for axis in (0, 1):
+        alone = POINT_MASS_1D.step(state[:, axis::2], action[:, axis : axis + 1], 0.2)
+        torch.testing.assert_close(moved[:, axis::2], alone)
+
+
+def test_standstill_keeps_vehicles_that_move_forward():
+    state = torch.tensor([0.0, 5.0, -1.0])
+    moved = POINT_MASS_1D.step(state, torch.zeros(1), 0.2)
+    assert torch.equal(stop_at_standstill(state, moved), moved)
+
+
+def test_standstill_ends_a_braking_after_its_distance():
+    # v = 0.5, a = −2: stops after v²/(2·2) = 0.0625 m, well before 0.5 s are over
+    state = torch.tensor([10.0, 0.5, -2.0])
+    stopped = stop_at_standstill(state, POINT_MASS_1D.step(state, torch.zeros(1), 0.5))
+    torch.testing.assert_close(stopped, torch.tensor([10.0625, 0.0, 0.0]))
+
+
+def test_a_dubins_car_stands_still_instead_of_reversing():
+    state = torch.tensor([10.0, 1.0, 0.3, 0.1, -2.0, 0.5])
+    moved = DUBINS.step(state, torch.zeros(2), 0.2)
+    assert moved[2] < 0
+    assert DUBINS.stop is not None
+    stopped = DUBINS.stop(state, moved)
+    torch.testing.assert_close(stopped, torch.tensor([*moved[:2].tolist(), 0.0, 0.1, 0.0, 0.0]))
+    forward = DUBINS.step(state + torch.tensor([0, 0, 5.0, 0, 0, 0]), torch.zeros(2), 0.2)
+    assert torch.equal(DUBINS.stop(state, forward), forward)
+
+
+def test_unknown_dynamics_are_named():
+    with pytest.raises(ValueError, match="unicycle"):
+        dynamics_named("unicycle")
+
+
+@pytest.mark.parametrize("dynamics", ALL, ids=lambda d: d.name)
+def test_numpy_moves_as_torch_does(dynamics: Dynamics, generator: torch.Generator):
+    state = 5 * torch.randn(4, 3, len(dynamics.state), generator=generator, dtype=torch.float64)
+    action = torch.randn(4, 3, len(dynamics.action), generator=generator, dtype=torch.float64)
+    moved = dynamics.step(state.numpy(), action.numpy(), 0.2)
+    torch.testing.assert_close(torch.from_numpy(moved), dynamics.step(state, action, 0.2), rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("dynamics", [POINT_MASS_1D, DUBINS], ids=lambda d: d.name)
+def test_what_was_driven_first_can_be_learned_from_afterwards(dynamics: Dynamics):
+    """Matrices that are kept from a drive under inference mode do not stand in the way of gradients."""
+    dt = 0.123  # nobody else's, so that it is not kept yet
+    state, action = torch.ones(1, len(dynamics.state)), torch.ones(1, len(dynamics.action))
+    with torch.inference_mode():
+        dynamics.step(state, action, dt)
+    action.requires_grad_()
+    dynamics.step(state, action, dt).sum().backward()
+    assert action.grad is not None
+
+
+def test_vehicles_at_constant_speed_go_straight_on():
+    one = constant_speed(torch.tensor([[1.0, 5.0, 2.0]]), 2, POINT_MASS_1D, 0.2)
+    assert one.tolist() == [[[1.0, 5.0, 0.0], [2.0, 5.0, 0.0], [3.0, 5.0, 0.0]]]
+    two = constant_speed(torch.tensor([[1.0, 3.5, 5.0, 0.1, 1.0, 0.1]]), 1, DUBINS, 0.2)
+    assert two[0, 1].tolist() == [2.0, 3.5, 5.0, 0.0, 0.0, 0.0]

@@ -1,0 +1,107 @@
+from math import exp
+
+import pytest
+import torch
+
+from gri.core.graph import FOLLOWING, EdgeType, InteractionGraph, pairs
+from gri.core.scale import CAR_FOLLOWING_PAPER
+from gri.errors import InputError
+from gri.rewards.car_following_features import FollowingConstants
+from gri.rewards.structured import RewardConfig, ShapedReward, StructuredReward, Units
+
+CONFIG = RewardConfig(
+    constants=FollowingConstants(standstill=2.0, time_headway=1.0, comfort=1.0, zeta=4.0, speed_limit=12.0),
+    units=Units(gap=2.0),
+    temperature=0.5,
+)
+WEIGHTS = {"node": {"speed": 2.0, "acceleration": 3.0, "jerk": 4.0}, "follow": {"idm": 5.0, "dist": 6.0}}
+
+
+def chain(batch: int = 1) -> torch.Tensor:
+    edges = {(1, 0): EdgeType.FOLLOW, (2, 1): EdgeType.FOLLOW}
+    return InteractionGraph.of_edges(edges, FOLLOWING, batch=batch).one_hot
+
+
+def test_a_reward_by_hand():
+    reward = StructuredReward.with_weights(CONFIG, WEIGHTS)
+    state = torch.tensor([[[[0.0, 10.0, 2.0]], [[8.0, 10.0, 0.0]], [[30.0, 12.0, 0.0]]]])
+    action = torch.tensor([[[[1.0]], [[0.0]], [[0.0]]]])
+    values = reward(state, action, chain())[0, :, 0]
+    # vehicle 0: speed 4·2, acceleration 4·3, jerk 1·4, IDM headway 12 at 8 m: (4/2)²·5, collision e^{-4}·6
+    torch.testing.assert_close(values[0], torch.tensor(-0.5 * (8 + 12 + 4 + 20 + 6 * exp(-4))))
+    # vehicle 1: speed 4·2, IDM headway 12 + 10·(−2)/2 = 2 at 22 m: (20/2)²·5, collision e^{-30.25}·6
+    torch.testing.assert_close(values[1], torch.tensor(-0.5 * (8 + 500)))
+    assert values[2].item() == 0.0  # the leader follows nobody and drives at the limit
+
+
+def test_weights_exceed_one_whatever_psi():
+    reward = StructuredReward(RewardConfig())
+    with torch.no_grad():
+        reward.psi["node"].fill_(-40.0)
+    assert (reward.weights("node") >= 1).all()
+
+
+def test_weights_survive_the_round_trip():
+    reward = StructuredReward.with_weights(CONFIG, WEIGHTS)
+    torch.testing.assert_close(reward.weights("follow"), 0.5 * torch.tensor([5.0, 6.0]))
+
+
+@pytest.mark.parametrize(
+    ("weights", "message"),
+    [
+        ({"follow": {"idm": 1.0, "dist": 2.0}}, "wanted all above 1"),
+        ({"follow": {"idm": 3.0}}, "wanted all terms"),
+        ({"yield": {"idm": 3.0}}, "weights of yield"),
+    ],
+)
+def test_weights_that_no_reward_has_are_refused(weights: dict[str, dict[str, float]], message: str):
+    with pytest.raises(InputError, match=message):
+        StructuredReward.with_weights(CONFIG, WEIGHTS | weights)
+
+
+def test_type_none_pays_nothing(generator: torch.Generator):
+    state = torch.randn(4, 3, 5, 3, generator=generator)
+    action = torch.randn(4, 3, 5, 1, generator=generator)
+    reward = StructuredReward(RewardConfig())
+    empty = InteractionGraph.of_edges({}, FOLLOWING, batch=4).one_hot
+    torch.testing.assert_close(reward(state, action, empty), reward.of_vehicles(state, action))
+
+
+def test_renumbering_the_vehicles_renumbers_the_rewards(generator: torch.Generator):
+    order = [2, 0, 1]
+    state = 5 * torch.randn(4, 3, 6, 3, generator=generator)
+    action = torch.randn(4, 3, 6, 1, generator=generator)
+    graph = torch.nn.functional.one_hot(torch.randint(0, 2, (4, 6), generator=generator), 2).float()
+    edges = [pairs(3).index((order[i], order[j])) for i, j in pairs(3)]
+    reward = StructuredReward(RewardConfig())
+    renumbered = reward(state[:, order], action[:, order], graph[:, edges])
+    torch.testing.assert_close(renumbered, reward(state, action, graph)[:, order])
+
+
+def test_reward_does_not_know_where_on_the_road_it_is(generator: torch.Generator):
+    state, action = 5 * torch.randn(2, 3, 6, 3, generator=generator), torch.zeros(2, 3, 6, 1)
+    reward = StructuredReward(RewardConfig())
+    moved = state + torch.tensor([64.0, 0.0, 0.0])
+    torch.testing.assert_close(reward(moved, action, chain(2)), reward(state, action, chain(2)), rtol=1e-4, atol=1e-3)
+
+
+def test_potentials_telescope(generator: torch.Generator):
+    """Over a trajectory, shaping adds h(x_T) − h(x_0) and the constant, whatever lies between."""
+    torch.manual_seed(3)
+    shaped = ShapedReward(StructuredReward(RewardConfig()), CAR_FOLLOWING_PAPER)
+    state = torch.randn(2, 3, 8, 3, generator=generator)
+    action = torch.randn(2, 3, 7, 1, generator=generator)
+    plain = shaped.reward(state[:, :, :-1], action, chain(2)).sum(-1)
+    node, edges = shaped.potentials(state)
+    gained = node[..., -1] - node[..., 0]
+    followed = edges[..., 1][..., -1] - edges[..., 1][..., 0]
+    gained[:, 0] += followed[:, pairs(3).index((1, 0))]
+    gained[:, 1] += followed[:, pairs(3).index((2, 1))]
+    torch.testing.assert_close(shaped(state, action, chain(2)).sum(-1), plain + gained, rtol=1e-4, atol=1e-4)
+
+
+def test_selfish_reward_keeps_gradients_from_the_vehicle_ahead(generator: torch.Generator):
+    state = torch.randn(2, 3, 4, 3, generator=generator).requires_grad_()
+    value = StructuredReward(RewardConfig())(state, torch.zeros(2, 3, 4, 1), chain(2), cooperative=False)
+    (gradient,) = torch.autograd.grad(value[:, 0].sum(), state)
+    assert gradient[:, 1:].abs().max() == 0
