@@ -20,7 +20,7 @@ import pandas  # noqa: F401  pyarrow brings it with the first table, once per pr
 from turns import side_by_side
 
 from cosim.scenes.rules import DT, KINDS, Rules
-from cosim.scenes.seed_scenes import Reel, Spec, running
+from cosim.scenes.seed_scenes import SceneExtractor, Spec, running
 from cosim.spec.input_files import find_net
 from cosim.spec.loading import load_scenario
 from cosim.sumo import Sumo
@@ -45,12 +45,12 @@ def bare(world: Sumo, steps: int) -> Side:
 def filming(world: Sumo, spec: Spec, steps: int, file: Path) -> Side:
     """Steps and cuts scenes."""
     stepping, began = _timed(world), time.process_time()
-    reel = Reel(world, spec)
+    reel = SceneExtractor(world, spec)
     with writing(file, Header(dt=DT)) as write:
         for _ in range(steps):
             for block in reel.next(reel.tape.advance()):
                 write(block)
-        for block in reel.developed():
+        for block in reel.finished_scenes():
             write(block)
     spent = (time.process_time() - began) / steps
     return spent, sum(stepping) / steps, sum(tally.scenes for tally in reel.sieve.tallies.values())

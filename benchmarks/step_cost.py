@@ -19,7 +19,7 @@ import torch
 from msgspec.structs import replace
 from turns import side_by_side
 
-from cosim.loop.closed_loop import Files, RunningRoad, Trunk, simulation
+from cosim.loop.closed_loop import Files, RunningSimulation, Trunk, simulation
 from cosim.loop.driving import Driver, Start, drive, start
 from cosim.loop.round_recorder import Round
 from cosim.runs.policy_loading import driver_of
@@ -33,14 +33,14 @@ REPEATS, TURN = 7, 5
 BETWEEN = 10.0  # [s] from one round to the next attempt to find groups
 
 
-def driven(road: RunningRoad, begin: Start) -> tuple[float, int]:
+def driven(road: RunningSimulation, begin: Start) -> tuple[float, int]:
     """CPU seconds with driven groups, and the number of steps: they may all end early."""
     began = time.process_time()
     episodes = drive(road.world, road.frame, begin)
     return time.process_time() - began, len(episodes[0].time) - len(begin.frames)
 
 
-def bare(road: RunningRoad, steps: int) -> float:
+def bare(road: RunningSimulation, steps: int) -> float:
     """CPU seconds per step of SUMO alone."""
     began = time.process_time()
     for _ in range(steps):
@@ -48,7 +48,9 @@ def bare(road: RunningRoad, steps: int) -> float:
     return (time.process_time() - began) / steps
 
 
-def compare(road: RunningRoad, history: Sequence[Snapshot], task: Round, driver: Driver) -> tuple[float, float, float]:
+def compare(
+    road: RunningSimulation, history: Sequence[Snapshot], task: Round, driver: Driver
+) -> tuple[float, float, float]:
     """Medians: CPU seconds per step, bare and driven, and their ratio."""
     alone, together = [], []
     for _ in range(REPEATS):
@@ -63,7 +65,7 @@ def compare(road: RunningRoad, history: Sequence[Snapshot], task: Round, driver:
     return statistics.median(alone), statistics.median(together), ratio
 
 
-def ratios(road: RunningRoad, scenario: Scenario, driver: Driver, rounds: int) -> list[float]:
+def ratios(road: RunningSimulation, scenario: Scenario, driver: Driver, rounds: int) -> list[float]:
     """Driven ÷ bare of so many rounds, told as they come."""
     trunk, found = Trunk(road, scenario), []
     trunk.warm_up(lambda *_: None)

@@ -6,5 +6,5 @@ Progress = Callable[[str, int, int, float], None]
 """(what is trained, updates done, updates in all, value of its objective)."""
 
 
-def silent(what: str, done: int, total: int, value: float) -> None:
+def no_progress(what: str, done: int, total: int, value: float) -> None:
     """No progress shown."""

@@ -22,7 +22,7 @@ from cosim.measures.statistics import (
 from cosim.world.episode import INTERRUPTED, LEFT_ALONE
 
 CELL = ("scenario", "policy", "perturbation", "intensity", "variant", "seed")
-START = ("scenario", "variant", "seed", "vehicle_0", "vehicle_1", "vehicle_2", "taken_at")
+START = ("scenario", "variant", "seed", "vehicle_0", "vehicle_1", "vehicle_2", "takeover_time")
 SHORT_TTC = 1.5  # [s]; a shorter time to collision is a conflict (van der Horst and Hogema 1993)
 SUMO = "left to SUMO"  # the policy of the counterparts
 

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cosim.process.terminal import Filming, console, next_command, say
+from cosim.process.terminal import SceneProgress, console, next_command, say
 
 
 def scenes(
@@ -56,7 +56,7 @@ def scenes(
         rules=rules,
     )
     began = time.monotonic()
-    with Filming() as progress:
+    with SceneProgress() as progress:
         made = make(order, out, workers or os.cpu_count() or 1, progress.tell)
     report = report_of(order, made, time.monotonic() - began, out)
     for table in tables(report):

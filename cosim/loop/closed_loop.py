@@ -62,7 +62,7 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class RunningRoad:
+class RunningSimulation:
     """A running simulation, its road, where merges take place on it, and who moves recorded vehicles, if any."""
 
     world: Sumo
@@ -133,7 +133,7 @@ def run(
 class Trunk:
     """The undisturbed traffic: steps on, remembers what it saw go wrong, and which vehicles were taken already."""
 
-    def __init__(self, road: RunningRoad, scenario: Scenario) -> None:
+    def __init__(self, road: RunningSimulation, scenario: Scenario) -> None:
         self._road, self._scenario = road, scenario
         self._used: set[str] = set()
         self._seen: deque[Snapshot] = deque(maxlen=scenario.steps(scenario.history))
@@ -226,7 +226,7 @@ def prepared(scenario: Scenario) -> Scenario:
 
 
 @contextmanager
-def simulation(scenario: Scenario, files: Files) -> Iterator[RunningRoad]:
+def simulation(scenario: Scenario, files: Files) -> Iterator[RunningSimulation]:
     """Start SUMO and check the scenario against its net."""
     files.signs.write_text(sign_file(scenario.traffic))
     paths = (str(path) for path in (files.net, files.routes, files.signs, files.log))
@@ -240,7 +240,7 @@ def simulation(scenario: Scenario, files: Files) -> Iterator[RunningRoad]:
             tracks = tracks_of(scenario.background, scenario.step)
             player = Player(world, frame, tracks, scenario.step, scenario.background, scenario.traffic)
             world.before_step = player
-        yield RunningRoad(world, frame, _merge_lanes(world, frame, scenario), player)
+        yield RunningSimulation(world, frame, _merge_lanes(world, frame, scenario), player)
 
 
 def _merge_lanes(world: Sumo, road: RoadFrame, scenario: Scenario) -> MergeLanes | None:

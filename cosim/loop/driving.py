@@ -13,10 +13,10 @@ import numpy as np
 import torch
 
 from cosim.loop import shadow_vehicles
-from cosim.loop.graph_source import overruled
+from cosim.loop.graph_source import graph_from_source
 from cosim.loop.observation import Frame
 from cosim.loop.perturbed_round import Intervention
-from cosim.loop.policy_runner import Pilot
+from cosim.loop.policy_runner import PolicyRunner
 from cosim.loop.round_recorder import Record, Round, hard_braking
 from cosim.loop.state_layouts import Pose, layout_of
 from cosim.spec.scenario import GraphSource, Inferred
@@ -53,7 +53,7 @@ class Start:
     intervention: Intervention | None
     now: Snapshot
     frames: tuple[Frame, ...]
-    pilot: Pilot | None
+    pilot: PolicyRunner | None
     pose: Pose | None
 
 
@@ -75,9 +75,9 @@ def start(
     pilot = None
     if driver is not None:
         layout = layout_of(task.rule, road, frames[-1].state, now.length[frames[-1].rows])
-        overrule = partial(overruled, source=driver.graph, rule=task.rule, third=task.third)
+        overrule = partial(graph_from_source, source=driver.graph, rule=task.rule, third=task.third)
         signals = None if intervention is None else intervention.signals(layout, frames)
-        pilot = Pilot(driver.policy, layout, frames, task.owned, task.dt, overrule, driver.reinfer, signals)
+        pilot = PolicyRunner(driver.policy, layout, frames, task.owned, task.dt, overrule, driver.reinfer, signals)
         if intervention is not None:
             pilot.place(intervention.displace(frames[-1]))
     return Start(task, driver, intervention, now, frames, pilot, None if pilot is None else pilot.decide(now.time))
@@ -161,12 +161,12 @@ def _between(frame: Frame) -> float:
     return 10.0 * math.ceil(gap / 20.0) + 10.0
 
 
-def _graphs(pilot: Pilot | None, end: float) -> list[tuple[float, InteractionGraph]]:
+def _graphs(pilot: PolicyRunner | None, end: float) -> list[tuple[float, InteractionGraph]]:
     """What a pilot went by until a group ended."""
     return [] if pilot is None else [(time, graph) for time, graph in pilot.graphs if time <= end]
 
 
-def _graph(pilot: Pilot | None, g: int, end: float) -> InteractionGraph | None:
+def _graph(pilot: PolicyRunner | None, g: int, end: float) -> InteractionGraph | None:
     """One group's graphs, a row for each time they were inferred."""
     found = [graph for _, graph in _graphs(pilot, end)]
     if not found:

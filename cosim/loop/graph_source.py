@@ -9,7 +9,9 @@ from cosim.world.groups import expected_graph
 from gri.core.graph import EdgeType, InteractionGraph, pairs
 
 
-def overruled(graph: InteractionGraph, source: GraphSource, rule: GroupRule, third: bool = True) -> InteractionGraph:
+def graph_from_source(
+    graph: InteractionGraph, source: GraphSource, rule: GroupRule, third: bool = True
+) -> InteractionGraph:
     """The inferred graph with the edges that the source knows better; without a `third` vehicle none with it."""
     known = {**_known(source, rule), **({} if third else {pair: EdgeType.NONE for pair in pairs(3) if 2 in pair})}
     if not known:

@@ -18,10 +18,10 @@ from gri.core.policy import Policy, PolicyState
 from gri.core.trajectory import Trajectory
 
 _A = COLUMNS.index("a")
-Overrule = Callable[[InteractionGraph], InteractionGraph]
+GraphOverride = Callable[[InteractionGraph], InteractionGraph]
 
 
-class Pilot:
+class PolicyRunner:
     """The model-frame state of all groups of a round and the policy's memory of them; to be used in inference mode.
 
     `owned` are the roles that it drives, `reinfer` [steps] how often it infers the graph anew (0: never again),
@@ -35,7 +35,7 @@ class Pilot:
         history: Sequence[Frame],
         owned: Sequence[int],
         dt: float,
-        overrule: Overrule,
+        overrule: GraphOverride,
         reinfer: int = 0,
         signals: Signals | None = None,
     ) -> None:

@@ -73,7 +73,7 @@ class Record:
         for g in sorted(ended):
             ids = self._task.groups[g].ids
             for role in self._task.owned:
-                world.remove_twin(ids[role])
+                world.remove_shadow(ids[role])
                 if frame.valid[g, role]:
                     world.release(ids[role])
             self.events[g].append(Event(frame.time, EventKind.HANDED_BACK, self._owned_ids(g), self.endings[g].value))

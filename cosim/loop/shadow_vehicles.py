@@ -20,26 +20,26 @@ CLEARANCE = 0.5  # [m] a twin in the target lane keeps from those who are there;
 
 
 @dataclass(frozen=True)
-class Booking:
+class ShadowPlacement:
     """On which lane SUMO shall book a vehicle ("": the nearest one), and where its twin shall be (None: none)."""
 
     own: str = ""
     twin: str | None = None
-    twin_d: float = 0.0
+    shadow_d: float = 0.0
 
 
-def booking(s: float, d: float, width: float, lanes: MergeLanes) -> Booking:
+def booking(s: float, d: float, width: float, lanes: MergeLanes) -> ShadowPlacement:
     """What is to be booked where, for a vehicle with its front at (s, d) that is on its way to the target lane."""
     if not max(lanes.source.begin, lanes.target.begin) <= s <= min(lanes.source.end, lanes.target.end):
-        return Booking()
+        return ShadowPlacement()
     beyond = d - lanes.boundary
     if beyond >= 0.5 * width:
-        return Booking()
+        return ShadowPlacement()
     if beyond >= 0:
-        return Booking(lanes.target.lane, lanes.source.lane, d)
+        return ShadowPlacement(lanes.target.lane, lanes.source.lane, d)
     if beyond > -0.5 * width:
-        return Booking(lanes.source.lane, lanes.target.lane, d)
-    return Booking("", lanes.target.lane, lanes.target.centre)
+        return ShadowPlacement(lanes.source.lane, lanes.target.lane, d)
+    return ShadowPlacement("", lanes.target.lane, lanes.target.centre)
 
 
 def is_free(
@@ -68,16 +68,16 @@ def place(
     s, d, heading, v = pose
     row = now.where.get(vehicle)
     if row is None:  # it is gone; there is nothing to stand for
-        world.remove_twin(vehicle)
+        world.remove_shadow(vehicle)
         return ""
     others = np.ones(len(now.ids), dtype=bool)
     others[row] = False
     wanted = booking(s, d, float(now.width[row]), lanes)
     announced = wanted.twin is not None and not wanted.own
     if wanted.twin is None or (announced and not is_free(s, float(now.length[row]), lanes, now, others, dt)):
-        world.remove_twin(vehicle)
+        world.remove_shadow(vehicle)
         return wanted.own
-    xy, along = road.to_world(np.array([s]), np.array([wanted.twin_d]))
+    xy, along = road.to_world(np.array([s]), np.array([wanted.shadow_d]))
     turned = float(along[0]) + (0.0 if announced else heading)
-    world.place_twin(vehicle, float(xy[0, 0]), float(xy[0, 1]), turned, v, wanted.twin)
+    world.place_shadow(vehicle, float(xy[0, 0]), float(xy[0, 1]), turned, v, wanted.twin)
     return wanted.own

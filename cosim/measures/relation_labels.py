@@ -30,7 +30,7 @@ Flags = Bool[np.ndarray, "S N T"]
 
 
 @dataclass(frozen=True)
-class Told:
+class DriverRecords:
     """What SUMO says of the N vehicles of S scenes at T steps. SI units; vehicles are numbers, `NOBODY` is none."""
 
     vehicle: Int[np.ndarray, "S N"]
@@ -67,7 +67,7 @@ class Told:
 
 
 @dataclass(frozen=True)
-class Heed:
+class Response:
     """Whom vehicles heed in one way, and by how much faster they would be without it (negative) [m/s²]."""
 
     whom: Numbers
@@ -78,9 +78,9 @@ class Heed:
 class Reactions:
     """Heed of each type."""
 
-    follow: Heed
-    yielding: Heed
-    cut_in: Heed
+    follow: Response
+    yielding: Response
+    cut_in: Response
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class PairLabels:
     effect: Float[np.ndarray, "S E T"]
 
 
-def by_rule(told: Told) -> Reactions:
+def by_rule(told: DriverRecords) -> Reactions:
     """Reactions without any intervention.
 
     A vehicle follows its leader where its model binds it: it allows less than the free speed, and the vehicle is no
@@ -106,12 +106,12 @@ def by_rule(told: Told) -> Reactions:
     slowed = (told.asker != NOBODY) & (short < 0)
     adapting = _adapting(told, short) & (told.asker == NOBODY)
     follow = _follow(told, bound, effect, adapting, short)
-    yielding = Heed(np.where(slowed, told.asker, NOBODY), np.where(slowed, short - SLACK, 0.0))
+    yielding = Response(np.where(slowed, told.asker, NOBODY), np.where(slowed, short - SLACK, 0.0))
     cut = np.where(told.room < ROOM, told.cut, NOBODY)
     return _with_changes(told, follow, yielding, cut)
 
 
-def by_intervention(told: Told, unled: Values, unasked: Values) -> Reactions:
+def by_intervention(told: DriverRecords, unled: Values, unasked: Values) -> Reactions:
     """Reactions from the accelerations (now minus without) of vehicles that ignore their leader, or all requests.
 
     No intervention shows in one step what a vehicle does for its own lane change: `_adapting` is a rule here too.
@@ -120,18 +120,18 @@ def by_intervention(told: Told, unled: Values, unasked: Values) -> Reactions:
     slowed = (told.asker != NOBODY) & (unasked < FELT)
     short = _short(told)
     follow = _follow(told, bound, unled, _adapting(told, short) & ~slowed, short)
-    yielding = Heed(np.where(slowed, told.asker, NOBODY), np.where(slowed, unasked, 0.0))
+    yielding = Response(np.where(slowed, told.asker, NOBODY), np.where(slowed, unasked, 0.0))
     return _with_changes(told, follow, yielding, None)
 
 
-def _short(told: Told) -> Values:
+def _short(told: DriverRecords) -> Values:
     """By how much a vehicle is slower (negative) than its model and its own imperfection explain [m/s²]."""
     lowest = np.maximum(told.v - HARDEST * told.dt, 0.0)
     allowed = np.maximum(np.minimum(told.behind, told.free), lowest)
     return (told.v_next - allowed) / told.dt + told.noise + SLACK
 
 
-def _adapting(told: Told, short: Values) -> Flags:
+def _adapting(told: DriverRecords, short: Values) -> Flags:
     """Where a vehicle is held by its target, whom it will drive behind: slower than its own leader explains, and no
     slower than its model would allow behind the target.
     """
@@ -139,14 +139,14 @@ def _adapting(told: Told, short: Values) -> Flags:
     return (told.target != NOBODY) & (short < 0) & (least >= 0)
 
 
-def _follow(told: Told, bound: Flags, effect: Values, adapting: Flags, short: Values) -> Heed:
+def _follow(told: DriverRecords, bound: Flags, effect: Values, adapting: Flags, short: Values) -> Response:
     """Towards the leader, or else the target."""
     adapting = adapting & ~bound
     whom = np.where(bound, told.leader, np.where(adapting, told.target, NOBODY))
-    return Heed(whom, np.where(bound, effect, np.where(adapting, short - SLACK, 0.0)))
+    return Response(whom, np.where(bound, effect, np.where(adapting, short - SLACK, 0.0)))
 
 
-def _with_changes(told: Told, follow: Heed, yielding: Heed, cut: Numbers | None) -> Reactions:
+def _with_changes(told: DriverRecords, follow: Response, yielding: Response, cut: Numbers | None) -> Reactions:
     """Add what lane changes do: they are instant, so their labels are kept for `HOLD`.
 
     Without `cut`, a change cuts in on whom the interventions show to feel it.
@@ -154,21 +154,21 @@ def _with_changes(told: Told, follow: Heed, yielding: Heed, cut: Numbers | None)
     hold = told.steps(HOLD)
     helped = _held(np.where(told.gave_way, told.asker, NOBODY), hold)
     moved_over = (yielding.whom == NOBODY) & (helped != NOBODY)
-    yielding = Heed(np.where(moved_over, helped, yielding.whom), yielding.effect)
+    yielding = Response(np.where(moved_over, helped, yielding.whom), yielding.effect)
     return Reactions(follow, yielding, _cut_ins(told, follow, cut, hold))
 
 
-def _cut_ins(told: Told, follow: Heed, cut: Numbers | None, hold: int) -> Heed:
+def _cut_ins(told: DriverRecords, follow: Response, cut: Numbers | None, hold: int) -> Response:
     whom, effect = np.full_like(told.cut, NOBODY), np.zeros_like(told.v)
     for scene, j, t in np.argwhere((told.cut if cut is None else cut) != NOBODY).tolist():
         felt = _felt(told, follow, scene, j, t)
         if cut is not None or felt < CUT:
             whom[scene, j, t : t + hold] = told.cut[scene, j, t]
             effect[scene, j, t : t + hold] = felt
-    return Heed(whom, effect)
+    return Response(whom, effect)
 
 
-def _felt(told: Told, follow: Heed, scene: int, j: int, t: int) -> float:
+def _felt(told: DriverRecords, follow: Response, scene: int, j: int, t: int) -> float:
     """Greatest effect of vehicle j, within `FEEL` of its change at t, on who it came to drive before."""
     behind = np.flatnonzero(told.vehicle[scene] == told.cut[scene, j, t])
     after = slice(t, t + told.steps(FEEL))

@@ -116,7 +116,7 @@ class Runs(_Bars):
         return ", ".join(notes)
 
 
-class Filming(_Bars):
+class SceneProgress(_Bars):
     """Progress of scenes with their rate: a bar in a terminal; elsewhere a plain line per 5 %."""
 
     def __init__(self) -> None:

@@ -122,7 +122,7 @@ def _hardest(groups: pd.DataFrame) -> str:
 def most_eventful(groups: pd.DataFrame, steps: pd.DataFrame) -> int:
     """The driven episode whose leader's speed varies most: the one in which there is most to see."""
     first = groups["driver"].iloc[0]
-    leader = steps[(steps["driver"] == first) & (steps["role"] == 2) & steps["under_way"]]
+    leader = steps[(steps["driver"] == first) & (steps["role"] == 2) & steps["during_drive"]]
     return int(leader.groupby("episode")["v"].agg(np.ptp).idxmax())
 
 
@@ -193,18 +193,18 @@ def _curves(
 
 
 def _since(part: pd.DataFrame, own: pd.DataFrame) -> pd.Series:
-    return part["time"] - own.loc[own["under_way"], "time"].min()
+    return part["time"] - own.loc[own["during_drive"], "time"].min()
 
 
 def _phases(axes: Axes, group: dict[str, Any], label: bool, driver: str) -> None:
     """Shade who drives vehicles 0 and 1: before, during and after the take-over."""
     low, high = axes.get_xlim()
-    axes.axvspan(0, group["driven_for"], color="#0072b2", alpha=0.08, lw=0)
+    axes.axvspan(0, group["drive_duration"], color="#0072b2", alpha=0.08, lw=0)
     if label:
-        middle = ((low, "history"), (0.0, f"{driver} drives"), (group["driven_for"], "handed back"))
-        for (begin, name), end in zip(middle, (0.0, group["driven_for"], high), strict=True):
+        middle = ((low, "history"), (0.0, f"{driver} drives"), (group["drive_duration"], "handed back"))
+        for (begin, name), end in zip(middle, (0.0, group["drive_duration"], high), strict=True):
             axes.text((begin + end) / 2, 1.0, name, transform=axes.get_xaxis_transform(), ha="center", va="bottom")
-    for instant in (0.0, group["driven_for"]):
+    for instant in (0.0, group["drive_duration"]):
         axes.axvline(instant, color="0.5", lw=0.8)
 
 
@@ -243,7 +243,7 @@ def _known(group: dict[str, Any], i: int, j: int) -> bool:
 def _facts(axes: Axes, group: dict[str, Any], has_twin: bool) -> None:
     lines = [
         f"ended by: {group['ending'].replace('_', ' ')}",
-        f"driven for {group['driven_for']:.1f} s",
+        f"driven for {group['drive_duration']:.1f} s",
         f"minimum gap {group['min_gap']:.1f} m",
         f"minimum TTC {group['min_ttc']:.1f} s",
         "",

@@ -43,7 +43,7 @@ def _steps(number: int, episode: Episode) -> pd.DataFrame:
             "vehicle": list(episode.group.ids) * n,
             "present": episode.valid.ravel(),
             "driven": episode.driven.ravel(),
-            "under_way": np.repeat(episode.under_way, 3),
+            "during_drive": np.repeat(episode.during_drive, 3),
             **{name: episode.state[..., k].ravel() for k, name in enumerate(COLUMNS)},
             "jerk": episode.jerk.ravel(),
             **{name: values.ravel() for name, values in towards.items()},
@@ -57,7 +57,7 @@ def groups_table(episodes: Sequence[Episode], expected: Mapping[tuple[int, int],
 
 
 def _group(number: int, episode: Episode, expected: Mapping[tuple[int, int], EdgeType]) -> dict[str, Any]:
-    way = episode.under_way
+    way = episode.during_drive
     after = (episode.time > episode.end + 1e-6)[:, None] & episode.valid[:, :2]
     owned_jerk = np.abs(episode.jerk[way][1:, :2])
     return {
@@ -67,8 +67,8 @@ def _group(number: int, episode: Episode, expected: Mapping[tuple[int, int], Edg
         **{f"length_{role}": float(length) for role, length in enumerate(episode.length)},
         **{f"width_{role}": float(width) for role, width in enumerate(episode.width)},
         "rule": "car_following" if episode.order == (0, 1, 2) else "merge",
-        "taken_at": episode.group.time,
-        "driven_for": episode.end - episode.group.time,
+        "takeover_time": episode.group.time,
+        "drive_duration": episode.end - episode.group.time,
         "ending": episode.ending.value,
         "success": episode.success,
         "contact": episode.ending is Ending.CONTACT,

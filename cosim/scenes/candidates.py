@@ -9,10 +9,10 @@ import numpy as np
 from cosim.measures.relation_labels import NOBODY
 from cosim.scenes.lane_change_requests import SAME_LANE, Change
 from cosim.scenes.rules import Kind, Rules
-from cosim.scenes.trajectory_buffer import Lane, Moment
+from cosim.scenes.trajectory_buffer import BufferedStep, Lane
 from cosim.world.snapshot import LaneChange
 
-Trio = tuple[int, int, int]
+Triple = tuple[int, int, int]
 
 
 @dataclass(frozen=True)
@@ -20,11 +20,11 @@ class Window:
     """Three vehicles by number in the order of roles, and the index of the moment of their step 0."""
 
     kind: Kind
-    vehicles: Trio
+    vehicles: Triple
     begin: int
 
 
-def rows_through(moments: Sequence[Moment], vehicles: Sequence[int]) -> np.ndarray | None:
+def rows_throughout(moments: Sequence[BufferedStep], vehicles: Sequence[int]) -> np.ndarray | None:
     """[V, T] Rows of vehicles in all these moments; None where one is missing somewhere."""
     try:
         return np.array([list(map(moment.row.__getitem__, vehicles)) for moment in moments]).T
@@ -32,12 +32,12 @@ def rows_through(moments: Sequence[Moment], vehicles: Sequence[int]) -> np.ndarr
         return None
 
 
-def chains(moments: Sequence[Moment], lanes: Sequence[Lane], counts: Counter[str]) -> list[Trio]:
+def chains(moments: Sequence[BufferedStep], lanes: Sequence[Lane], counts: Counter[str]) -> list[Triple]:
     """Who followed whom followed whom in one lane all through these moments, sorted."""
     first = moments[0]
     all_through = set(first.row).intersection(*(moment.row for moment in moments))
     there = [number for number in first.row if number in all_through]
-    rows = rows_through(moments, there) if there else None
+    rows = rows_throughout(moments, there) if there else None
     if rows is None:
         return []
     leader, lane = (
@@ -54,7 +54,7 @@ def chains(moments: Sequence[Moment], lanes: Sequence[Lane], counts: Counter[str
 
 
 def merge_of(
-    change: Change, moments: Sequence[Moment], numbers: Mapping[str, int], rules: Rules, counts: Counter[str]
+    change: Change, moments: Sequence[BufferedStep], numbers: Mapping[str, int], rules: Rules, counts: Counter[str]
 ) -> Window | None:
     """The window around a lane change of the last moment, with the vehicles it drives between from then on."""
     now, vehicle = moments[-1], numbers[change.vehicle]

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from cosim.measures.relation_labels import NOBODY, Told
-from cosim.scenes.candidates import Window, rows_through
+from cosim.measures.relation_labels import NOBODY, DriverRecords
+from cosim.scenes.candidates import Window, rows_throughout
 from cosim.scenes.rules import Kind
-from cosim.scenes.trajectory_buffer import COLUMN, Moment, Tape
-from cosim.world.snapshot import Character
+from cosim.scenes.trajectory_buffer import COLUMN, BufferedStep, TrajectoryBuffer
+from cosim.world.snapshot import DriverParameters
 
 
 @dataclass(frozen=True)
@@ -20,7 +20,7 @@ class Clip:
     window: Window
     time: float
     """Of step 0 [s]."""
-    characters: tuple[Character, ...]
+    characters: tuple[DriverParameters, ...]
     values: Float[np.ndarray, "3 M F"]
     """Columns of the tape."""
     behind: Float[np.ndarray, "3 M"]
@@ -38,11 +38,11 @@ class Clip:
         return self.window.kind
 
 
-def cut(window: Window, tape: Tape, steps: int) -> Clip | None:
+def cut(window: Window, tape: TrajectoryBuffer, steps: int) -> Clip | None:
     """The clip of a window whose last moment, one after its T steps, is the newest; None where somebody was away."""
     moments = [moment for moment in tape.moments if moment.index >= window.begin]
     assert len(moments) == steps + 1, f"got {len(moments)} moments, wanted {steps + 1}"
-    rows = rows_through(moments, window.vehicles)
+    rows = rows_throughout(moments, window.vehicles)
     if rows is None:
         return None
     tape.settle()
@@ -62,7 +62,12 @@ def cut(window: Window, tape: Tape, steps: int) -> Clip | None:
 
 
 def _allowed(
-    tape: Tape, moments: Sequence[Moment], ids: list[str], values: np.ndarray, gap: str, whom: Int[np.ndarray, "3 M"]
+    tape: TrajectoryBuffer,
+    moments: Sequence[BufferedStep],
+    ids: list[str],
+    values: np.ndarray,
+    gap: str,
+    whom: Int[np.ndarray, "3 M"],
 ) -> Float[np.ndarray, "3 M"]:
     """Asks the car-following models, for those steps only at which a label may depend on it; inf elsewhere."""
     allowed = np.full(whom.shape, np.inf)
@@ -80,7 +85,7 @@ def _allowed(
     return allowed
 
 
-def told_of(clips: Sequence[Clip], step: float, every: int) -> Told:
+def driver_records_of(clips: Sequence[Clip], step: float, every: int) -> DriverRecords:
     """What SUMO says of the vehicles of clips of one kind, for `cosim.measures.relation_labels`."""
     values = np.stack([clip.values[:, :-1] for clip in clips])
     v, limit = values[..., COLUMN["v"]], values[..., COLUMN["limit"]]
@@ -91,7 +96,7 @@ def told_of(clips: Sequence[Clip], step: float, every: int) -> Told:
         np.array([[getattr(c, name) for c in clip.characters] for clip in clips])[..., None]
         for name in ("speed_factor", "max_speed", "acceleration", "imperfection")
     )
-    return Told(
+    return DriverRecords(
         vehicle=np.array([clip.window.vehicles for clip in clips]),
         v=v,
         v_next=values[..., COLUMN["v_next"]],

@@ -11,12 +11,14 @@ from cosim.process.fork import Branch, fork
 from cosim.sumo import Sumo
 
 
-def speeds_unled(world: Sumo, vehicles: Sequence[str], leaders: Sequence[tuple[str, str]]) -> Branch[list[float]]:
+def speeds_without_leader(
+    world: Sumo, vehicles: Sequence[str], leaders: Sequence[tuple[str, str]]
+) -> Branch[list[float]]:
     """Speeds [m/s] of the vehicles one step later if, of each pair, the first did not see the second ahead of it."""
     return _stepped(world, vehicles, lambda: world.drivers.ignore(leaders))
 
 
-def speeds_unasked(world: Sumo, vehicles: Sequence[str], asked: Sequence[str]) -> Branch[list[float]]:
+def speeds_without_requests(world: Sumo, vehicles: Sequence[str], asked: Sequence[str]) -> Branch[list[float]]:
     """Speeds [m/s] of the vehicles one step later if the asked ones did not slow down for who wants to change lanes."""
     return _stepped(world, vehicles, lambda: world.drivers.ignore_requests(asked))
 

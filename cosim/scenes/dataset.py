@@ -21,7 +21,7 @@ from cosim.process.task import Answer, Task
 from cosim.process.task_pool import run_local
 from cosim.scenes.rules import DT, Kind, Rules
 from cosim.scenes.seed_scenes import SPLITS, Spec
-from cosim.scenes.seed_task import FIGURES, SCENES, Brought
+from cosim.scenes.seed_task import FIGURES, SCENES, SeedResult
 from cosim.spec.input_files import find_net, sha256
 from cosim.spec.loading import override
 from cosim.spec.scenario import Scenario
@@ -84,32 +84,32 @@ class Made:
     """The file, the seeds it is made of, and how many scenes this run had to make."""
 
     path: Path
-    brought: tuple[Brought, ...]
+    brought: tuple[SeedResult, ...]
     fresh: int
 
 
 def make(order: Order, folder: Path, workers: int, tell: Tell) -> Made:
     """Film seeds until there are enough scenes of every kind, and join them; what is there already is kept."""
-    shelf = Shelf(order, folder)
-    before = shelf.scenes()
+    store = Store(order, folder)
+    before = store.scenes()
     tell(before, order.total)
-    while (enough := shelf.enough()) is None:
+    while (enough := store.enough()) is None:
         queue: deque[Task] = deque()
-        _refill(queue, shelf, workers)
+        _refill(queue, store, workers)
         with closing(run_local(queue, LONGEST, workers=workers, perform=WORKER)) as answers:
             for answer in answers:
-                shelf.keep(answer)
-                tell(shelf.scenes(), order.total)
-                if shelf.enough() is None:
-                    _refill(queue, shelf, 1)
-    return Made(shelf.join(enough), tuple(shelf.brought[k] for k in range(enough)), shelf.scenes() - before)
+                store.keep(answer)
+                tell(store.scenes(), order.total)
+                if store.enough() is None:
+                    _refill(queue, store, 1)
+    return Made(store.join(enough), tuple(store.brought[k] for k in range(enough)), store.scenes() - before)
 
 
-def _refill(queue: deque[Task], shelf: "Shelf", count: int) -> None:
-    queue.extend(shelf.task() for _ in range(count))
+def _refill(queue: deque[Task], store: "Store", count: int) -> None:
+    queue.extend(store.task() for _ in range(count))
 
 
-class Shelf:
+class Store:
     """The seeds in a folder: which are there, which are under way, and whether they are enough."""
 
     def __init__(self, order: Order, folder: Path) -> None:
@@ -119,7 +119,7 @@ class Shelf:
         self._seeds.mkdir(parents=True, exist_ok=True)
         net = sha256(find_net(order.scenario.net))
         self._salt = [net, version("gri-cosim"), version("libsumo")]
-        self.brought: dict[int, Brought] = {}
+        self.brought: dict[int, SeedResult] = {}
         for path in self._seeds.iterdir():
             found = self._found(path)
             if found is None:
@@ -131,10 +131,10 @@ class Shelf:
     def _key(self, k: int) -> str:
         return hashlib.sha256(msgspec.json.encode([self.order.spec(k), self._salt])).hexdigest()
 
-    def _found(self, path: Path) -> Brought | None:
+    def _found(self, path: Path) -> SeedResult | None:
         if not path.name.isdigit() or not (path / FIGURES).is_file():
             return None
-        brought = msgspec.json.decode((path / FIGURES).read_bytes(), type=Brought)
+        brought = msgspec.json.decode((path / FIGURES).read_bytes(), type=SeedResult)
         return brought if brought.key == self._key(int(path.name)) else None
 
     def task(self) -> Task:
@@ -145,12 +145,12 @@ class Shelf:
         return Task(str(k), self.order.scenario, labels, self._key(k), self._seeds / f".{k}.{os.getpid()}")
 
     def keep(self, answer: Answer) -> None:
-        """Put what a worker made on the shelf. Errors: `InputError` or RuntimeError with what went wrong."""
+        """Put what a worker made on the store. Errors: `InputError` or RuntimeError with what went wrong."""
         if answer.kind != "done":
             shutil.rmtree(answer.folder, ignore_errors=True)
             message = f"seed {self.order.scenario.seed + int(answer.run)}: {answer.message}"
             raise InputError(message) if answer.kind == "input" else RuntimeError(message)
-        brought = msgspec.json.decode((answer.folder / FIGURES).read_bytes(), type=Brought)
+        brought = msgspec.json.decode((answer.folder / FIGURES).read_bytes(), type=SeedResult)
         os.replace(answer.folder, self._seeds / answer.run)
         self.brought[int(answer.run)] = brought
         if len(self.brought) >= PATIENCE:
@@ -192,11 +192,11 @@ class Shelf:
         return self.folder / FILE
 
 
-def _scenes(brought: Brought, kind: Kind) -> int:
+def _scenes(brought: SeedResult, kind: Kind) -> int:
     return int(brought.figures.tallies[kind]["scenes"])
 
 
-def totals(made: Sequence[Brought], kind: Kind) -> dict[str, Any]:
+def totals(made: Sequence[SeedResult], kind: Kind) -> dict[str, Any]:
     """The tallies of all seeds of a kind in one: counts and tables added up."""
     found: dict[str, Any] = {}
     for brought in made:

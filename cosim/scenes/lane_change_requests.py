@@ -37,7 +37,7 @@ class Change:
 
 
 @dataclass(frozen=True)
-class Wishes:
+class LaneChangeRequests:
     """What comes of urgent wishes to change lanes, by row of a `Driving`."""
 
     askers: dict[int, str]
@@ -46,7 +46,7 @@ class Wishes:
     """Behind whom a vehicle that urgently wants to another lane would drive there, and the gap to it [m]."""
 
 
-def wishes(drivers: Drivers, driving: Driving, candidates: Iterable[int]) -> Wishes:
+def find_requests(drivers: Drivers, driving: Driving, candidates: Iterable[int]) -> LaneChangeRequests:
     """Who asks whom, and who wants to drive behind whom, of the candidates and, as helpers may ask too, the asked."""
     asked: dict[int, tuple[float, str]] = {}
     targets: dict[int, tuple[str, float]] = {}
@@ -72,10 +72,10 @@ def wishes(drivers: Drivers, driving: Driving, candidates: Iterable[int]) -> Wis
                     if at not in seen:
                         seen.add(at)
                         waiting.append(at)
-    return Wishes({row: asker for row, (_, asker) in asked.items()}, targets)
+    return LaneChangeRequests({row: asker for row, (_, asker) in asked.items()}, targets)
 
 
-def now_behind(driving: Driving, vehicle: str, centres: Sequence[float]) -> int | None:
+def new_follower(driving: Driving, vehicle: str, centres: Sequence[float]) -> int | None:
     """Row of who drives behind a vehicle in its lane, wherever that began; `centres` [m] are those of the lanes."""
     if vehicle not in driving.where:
         return None

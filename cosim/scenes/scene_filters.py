@@ -8,11 +8,19 @@ import numpy as np
 from jaxtyping import Bool
 
 from cosim.measures.label_agreement import Agreement, agreement
-from cosim.measures.relation_labels import FOLLOW, PairLabels, Told, by_intervention, by_rule, pair_labels, reduced
-from cosim.scenes.clips import Clip, told_of, tried
+from cosim.measures.relation_labels import (
+    FOLLOW,
+    DriverRecords,
+    PairLabels,
+    by_intervention,
+    by_rule,
+    pair_labels,
+    reduced,
+)
+from cosim.scenes.clips import Clip, driver_records_of, tried
 from cosim.scenes.rules import DT, HYPOTHESIS, RAREST, Kind, Rarest, Rules
 from cosim.scenes.scene_states import features, places
-from cosim.scenes.trajectory_buffer import Stretch
+from cosim.scenes.trajectory_buffer import RoadSection
 from gri.core.edges import LANE_CHANGING
 from gri.data.scene_file.schema import SceneBlock, names_of
 
@@ -38,10 +46,10 @@ class Tally:
     """Of the geometric hypothesis with the edges."""
 
 
-class Sieve:
+class SceneFilter:
     """Takes clips of all kinds in the order they come, up to `count` scenes of each."""
 
-    def __init__(self, rules: Rules, stretch: Stretch, step: float, every: int, count: int, gold: bool) -> None:
+    def __init__(self, rules: Rules, stretch: RoadSection, step: float, every: int, count: int, gold: bool) -> None:
         self._rules, self._stretch, self._count, self._gold = rules, stretch, count, gold
         self._step, self._every = step, every
         self._used: dict[Kind, Counter[int]] = {"car_following": Counter(), "merge": Counter()}
@@ -63,7 +71,7 @@ class Sieve:
         """The scenes among clips of one kind; None where there are none."""
         if not clips:
             return None
-        told = told_of(clips, self._step, self._every)
+        told = driver_records_of(clips, self._step, self._every)
         s, d = places(clips, self._stretch)
         rule = pair_labels(by_rule(told), told.vehicle)
         labels = pair_labels(by_intervention(told, *tried(clips)), told.vehicle) if self._gold else rule
@@ -99,7 +107,7 @@ class Sieve:
         return np.stack([clips[k].speeds for k in kept])
 
     def _broken(
-        self, kind: Kind, told: Told, s: np.ndarray, d: np.ndarray, labels: PairLabels
+        self, kind: Kind, told: DriverRecords, s: np.ndarray, d: np.ndarray, labels: PairLabels
     ) -> list[tuple[str, Broken]]:
         """The rules, each with [S] whether a clip breaks it."""
         rules = self._rules

@@ -7,11 +7,11 @@ from jaxtyping import Float
 
 from cosim.scenes.clips import Clip
 from cosim.scenes.rules import DT
-from cosim.scenes.trajectory_buffer import COLUMN, Stretch
+from cosim.scenes.trajectory_buffer import COLUMN, RoadSection
 from gri.data.ngsim.integration import integrated
 
 
-def places(clips: Sequence[Clip], stretch: Stretch) -> tuple[np.ndarray, np.ndarray]:
+def places(clips: Sequence[Clip], stretch: RoadSection) -> tuple[np.ndarray, np.ndarray]:
     """[S, 3, M] s of the front bumper and lateral position d of the lane each vehicle is on [m]."""
     lane, position = (np.stack([clip.values[..., COLUMN[name]] for clip in clips]) for name in ("lane", "position"))
     xy = np.zeros((*lane.shape, 2))

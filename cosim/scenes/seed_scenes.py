@@ -14,8 +14,8 @@ from cosim.perturb.traffic_demand import perturbed_traffic
 from cosim.scenes.candidates import Window, chains, merge_of
 from cosim.scenes.clips import Clip, cut
 from cosim.scenes.rules import DT, Kind, Rules
-from cosim.scenes.scene_filters import Sieve, Tally
-from cosim.scenes.trajectory_buffer import Moment, Numbers, Stretch, Tape
+from cosim.scenes.scene_filters import SceneFilter, Tally
+from cosim.scenes.trajectory_buffer import BufferedStep, Numbers, RoadSection, TrajectoryBuffer
 from cosim.spec.scenario import Scenario
 from cosim.sumo import Sumo, sumo
 from cosim.traffic.route_file import arguments, route_file, sign_file
@@ -60,11 +60,11 @@ def film(spec: Spec, net: Path, folder: Path, write: Callable[[SceneBlock], None
         for _ in range(scenario.steps(scenario.traffic.warm_up)):
             world.step()
         warm = time.process_time()
-        reel = Reel(world, spec)
+        reel = SceneExtractor(world, spec)
         while not reel.done and (moment := reel.tape.advance()).time < end:
             for block in reel.next(moment):
                 write(block)
-        for block in reel.developed():
+        for block in reel.finished_scenes():
             write(block)
         reel.tape.settle()
         seconds = time.process_time() - warm
@@ -93,20 +93,20 @@ def running(scenario: Scenario, net: Path, folder: Path, end: float) -> Iterator
         yield world
 
 
-class Reel:
+class SceneExtractor:
     """Finds windows as the tape goes on, cuts them when they are over, and develops clips in batches."""
 
     def __init__(self, world: Sumo, spec: Spec) -> None:
         scenario, self.spec = spec.scenario, spec
         self._every = round(DT / scenario.step)
         road = world.net.road(scenario.road.edges, scenario.road.origin)
-        stretch = Stretch(world.net, road, scenario.road.edges, scenario.road.length)
+        stretch = RoadSection(world.net, road, scenario.road.edges, scenario.road.length)
         self._numbers = Numbers([flow.name for flow in scenario.traffic.flows])
         length = spec.rules.longest + 1
-        self.tape = Tape(
+        self.tape = TrajectoryBuffer(
             world, stretch, self._numbers, length=length, step=scenario.step, every=self._every, gold=spec.gold
         )
-        self.sieve = Sieve(spec.rules, stretch, scenario.step, self._every, spec.count, spec.gold)
+        self.sieve = SceneFilter(spec.rules, stretch, scenario.step, self._every, spec.count, spec.gold)
         self._rng = np.random.default_rng(scenario.seed)
         self._waiting: list[Window] = []
         self._clips: list[Clip] = []
@@ -116,7 +116,7 @@ class Reel:
         """Whether there are enough scenes of every kind."""
         return all(self.sieve.full(kind) for kind in self.spec.kinds)
 
-    def next(self, moment: Moment) -> list[SceneBlock]:
+    def next(self, moment: BufferedStep) -> list[SceneBlock]:
         """Look at a new moment; whatever scenes are ready by now."""
         rules, kinds = self.spec.rules, [kind for kind in self.spec.kinds if not self.sieve.full(kind)]
         if "merge" in kinds:
@@ -132,16 +132,16 @@ class Reel:
                 self._counts(window.kind)["left the stretch"] += 1
             else:
                 self._clips.append(clip)
-        return self.developed() if len(self._clips) > before and self._ripe() else []
+        return self.finished_scenes() if len(self._clips) > before and self._ready() else []
 
-    def _ripe(self) -> bool:
+    def _ready(self) -> bool:
         """Whether there are many clips, or enough to be done with a kind."""
         waiting: Counter[Kind] = Counter(clip.kind for clip in self._clips)
         return sum(waiting.values()) >= BATCH or any(
             count >= self.sieve.wanted(kind) for kind, count in waiting.items()
         )
 
-    def developed(self) -> list[SceneBlock]:
+    def finished_scenes(self) -> list[SceneBlock]:
         """The scenes among the clips that wait."""
         clips, self._clips, spec = self._clips, [], self.spec
         blocks = [
@@ -159,12 +159,12 @@ class Reel:
     def _counts(self, kind: Kind) -> Counter[str]:
         return self.sieve.tallies[kind].rejected
 
-    def _merges(self, moment: Moment) -> None:
+    def _merges(self, moment: BufferedStep) -> None:
         moments, counts = list(self.tape.moments), self._counts("merge")
         found = (merge_of(change, moments, self._numbers, self.spec.rules, counts) for change in moment.changes)
         self._waiting += [window for window in found if window is not None]
 
-    def _chains(self, moment: Moment) -> None:
+    def _chains(self, moment: BufferedStep) -> None:
         """A few of the rows of three that were there for the last T steps; no vehicle in two of them."""
         rules, taken, found = self.spec.rules, set(), 0
         moments = list(self.tape.moments)[-rules.following_steps - 1 :]

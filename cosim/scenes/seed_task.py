@@ -22,7 +22,7 @@ from gri.errors import InputError
 SCENES, FIGURES = "scenes.parquet", "figures.json"
 
 
-class Brought(msgspec.Struct, frozen=True, kw_only=True):
+class SeedResult(msgspec.Struct, frozen=True, kw_only=True):
     """A seed's figures, and of what they are: `key` changes with all that the scenes depend on."""
 
     key: str
@@ -44,7 +44,9 @@ def perform(task: Task) -> Answer:
             writing(task.folder / SCENES, Header(dt=DT)) as write,
         ):
             figures = film(spec, find_net(spec.scenario.net), Path(scratch), write)
-        brought = Brought(key=task.key, figures=figures, cpu_seconds=round(sum(os.times()[:4]), 3), peak_mb=peak_mb())
+        brought = SeedResult(
+            key=task.key, figures=figures, cpu_seconds=round(sum(os.times()[:4]), 3), peak_mb=peak_mb()
+        )
         (task.folder / FIGURES).write_bytes(msgspec.json.encode(brought))
     except InputError as error:
         return Answer(task.run, task.folder, "input", str(error))

@@ -9,15 +9,15 @@ from jaxtyping import Float
 
 from cosim.measures.relation_labels import NOBODY
 from cosim.process.fork import Branch
-from cosim.scenes.counterfactual_speeds import speeds_unasked, speeds_unled
-from cosim.scenes.lane_change_requests import Change, now_behind, room, wishes
+from cosim.scenes.counterfactual_speeds import speeds_without_leader, speeds_without_requests
+from cosim.scenes.lane_change_requests import Change, find_requests, new_follower, room
 from cosim.sumo import Net, Sumo
 from cosim.world.road_frame import RoadFrame
 from cosim.world.snapshot import Driving, LaneChange
 
 READ = ("lane", "position", "v", "leader", "gap")
-LATER = ("limit", "v_next", "unled", "unasked")
-COLUMNS = (*READ, "asker", "target", "target_gap", "gave_way", "cut", "room", *LATER)
+FILLED_LATER = ("limit", "v_next", "unled", "unasked")
+COLUMNS = (*READ, "asker", "target", "target_gap", "gave_way", "cut", "room", *FILLED_LATER)
 COLUMN = {name: k for k, name in enumerate(COLUMNS)}
 EMPTY = np.zeros(len(COLUMNS))
 EMPTY[[COLUMN["asker"], COLUMN["target"], COLUMN["cut"]]] = NOBODY
@@ -40,7 +40,7 @@ class Numbers(dict[str, int]):
 
 
 @dataclass(frozen=True)
-class Moment:
+class BufferedStep:
     """All vehicles at one step of the scenes; what shows a simulation step later is filled in then."""
 
     index: int
@@ -50,7 +50,7 @@ class Moment:
     row: dict[int, int]
     """Of a vehicle's number."""
     values: Float[np.ndarray, "V F"]
-    """`COLUMNS`: the fields of `relation_labels.Told`, SI units; `LATER` are filled in where they are wanted."""
+    """`COLUMNS`: the fields of `DriverRecords`, SI units; `FILLED_LATER` are filled in where they are wanted."""
     changes: list[Change]
     """Since the moment before."""
     limits: list[float] = field(default_factory=list)
@@ -78,7 +78,7 @@ class Lane:
         return np.stack([np.interp(along, arc, axis) for axis in self.shape.T], -1)
 
 
-class Stretch:
+class RoadSection:
     """The lanes of a chain of edges between s = 0 and `reach` [m]."""
 
     def __init__(self, net: Net, road: RoadFrame, edges: Sequence[str], reach: float) -> None:
@@ -94,26 +94,26 @@ def _lane(net: Net, name: str, road: RoadFrame) -> Lane:
     return Lane(name.rpartition("_")[0], shape, net.length(name), float(road.to_road(shape)[1].mean()))
 
 
-class Tape:
+class TrajectoryBuffer:
     """Steps the simulation and remembers the last `length` moments, which are `every` steps of `step` [s] apart.
 
     With `gold`, every moment is also tried without leaders and without requests.
     """
 
     def __init__(
-        self, world: Sumo, stretch: Stretch, numbers: Numbers, *, length: int, step: float, every: int, gold: bool
+        self, world: Sumo, stretch: RoadSection, numbers: Numbers, *, length: int, step: float, every: int, gold: bool
     ) -> None:
         self.world, self.stretch, self.numbers = world, stretch, numbers
         self.step, self.every, self.gold = step, every, gold
-        self.moments: deque[Moment] = deque(maxlen=length)
+        self.moments: deque[BufferedStep] = deque(maxlen=length)
         self._lane_of: dict[str, int] = {}
-        self._tries: deque[tuple[Moment, dict[str, Branch[list[float]]]]] = deque()
+        self._tries: deque[tuple[BufferedStep, dict[str, Branch[list[float]]]]] = deque()
         self._restless: set[str] = set()  # vehicles that must leave their lane to go their way
         self._asked: set[str] = set()  # who was asked to make room at the moment before
         self.count = 0
         """Moments so far."""
 
-    def advance(self) -> Moment:
+    def advance(self) -> BufferedStep:
         """Go on to the next moment."""
         changes: list[Change] = []
         before = self.moments[-1] if self.moments else None
@@ -135,12 +135,12 @@ class Tape:
         self.count += 1
         return moment
 
-    def _try(self, now: Moment) -> dict[str, Branch[list[float]]]:
+    def _try(self, now: BufferedStep) -> dict[str, Branch[list[float]]]:
         """Begin to find out the speeds one step later after each intervention."""
         leaders = [(vehicle, leader) for vehicle, leader in zip(now.ids, now.leaders, strict=True) if leader]
         asked = [now.ids[row] for row in np.flatnonzero(now.of("asker") != NOBODY)]
-        tries = {"unled": speeds_unled(self.world, now.ids, leaders)}
-        return tries | ({"unasked": speeds_unasked(self.world, now.ids, asked)} if asked else {})
+        tries = {"unled": speeds_without_leader(self.world, now.ids, leaders)}
+        return tries | ({"unasked": speeds_without_requests(self.world, now.ids, asked)} if asked else {})
 
     def settle(self, ahead: int = 0) -> None:
         """Wait for what interventions do, of all moments but the last few."""
@@ -158,14 +158,14 @@ class Tape:
             source, target = before.get(vehicle), now[vehicle]
             if source is not None and lanes[source].edge == lanes[target].edge:
                 state = self.world.drivers.lane_change_state(vehicle, lanes[target].centre > lanes[source].centre)
-                behind = now_behind(driving, vehicle, self.stretch.centres)
+                behind = new_follower(driving, vehicle, self.stretch.centres)
                 name = "" if behind is None else driving.ids[behind]
                 changes.append(Change(vehicle, source, target, state, name))
         self._restless &= now.keys()
         self._lane_of = now
         return changes
 
-    def _moment(self, time: float, driving: Driving, changes: list[Change]) -> Moment:
+    def _moment(self, time: float, driving: Driving, changes: list[Change]) -> BufferedStep:
         numbers, count = self.numbers, len(driving.ids)
         leaders = [*map(numbers.__getitem__, driving.leader)]
         values = np.empty((count, len(COLUMNS)))
@@ -173,7 +173,7 @@ class Tape:
         read = [driving.lane, driving.position, driving.v, leaders, driving.gap]
         values[:, : len(READ)] = np.array(read, dtype=float).T
         concerned = self._restless | self._asked
-        wanted = wishes(
+        wanted = find_requests(
             self.world.drivers, driving, [driving.where[vehicle] for vehicle in concerned if vehicle in driving.where]
         )
         self._asked = {driving.ids[row] for row in wanted.askers}
@@ -183,14 +183,14 @@ class Tape:
             values[row, COLUMN["target"]], values[row, COLUMN["target_gap"]] = numbers[target], gap
         row_of = dict(zip(map(numbers.__getitem__, driving.ids), range(count), strict=True))
         limits = self.world.net.limits(self.stretch.names)
-        return Moment(self.count, time, driving.ids, driving.leader, row_of, values, changes, limits)
+        return BufferedStep(self.count, time, driving.ids, driving.leader, row_of, values, changes, limits)
 
-    def _mark(self, moment: Moment, before: Moment | None, driving: Driving, change: Change) -> None:
+    def _mark(self, moment: BufferedStep, before: BufferedStep | None, driving: Driving, change: Change) -> None:
         """What a lane change did to who drives behind it now, and whether it was made for somebody."""
         number = self.numbers[change.vehicle]
         if change.state & LaneChange.COOPERATIVE and before is not None and number in before.row:
             before.values[before.row[number], COLUMN["gave_way"]] = 1.0
-        behind = now_behind(driving, change.vehicle, self.stretch.centres)
+        behind = new_follower(driving, change.vehicle, self.stretch.centres)
         if behind is not None:
             own = moment.row[number]
             moment.values[own, COLUMN["cut"]] = self.numbers[driving.ids[behind]]

@@ -15,7 +15,7 @@ def data_of(view: View) -> dict[str, Any]:
     s, d = view.feature("s"), view.feature("d")
     return {
         "time": _rounded(view.time - view.taken),
-        "driven_for": round(float(view.group["driven_for"]), 2),
+        "drive_duration": round(float(view.group["drive_duration"]), 2),
         "ending": str(view.group["ending"]).replace("_", " "),
         "vehicles": [
             {

@@ -36,7 +36,7 @@ class View:
     state: Float[np.ndarray, "T 3 C"]
     present: Bool[np.ndarray, "T 3"]
     driven: Bool[np.ndarray, "T 3"]
-    under_way: Bool[np.ndarray, " T"]
+    during_drive: Bool[np.ndarray, " T"]
     gap: Float[np.ndarray, "T 3"]
     ttc: Float[np.ndarray, "T 3"]
     beliefs: tuple[Belief, ...]
@@ -59,7 +59,7 @@ class View:
     @property
     def taken(self) -> float:
         """When the group was taken [s]."""
-        return float(self.group["taken_at"])
+        return float(self.group["takeover_time"])
 
 
 def view(tables: Mapping[str, pd.DataFrame], number: int, driver: str | None = None) -> View:
@@ -84,7 +84,7 @@ def view(tables: Mapping[str, pd.DataFrame], number: int, driver: str | None = N
         state=np.stack([wide(name) for name in COLUMNS], -1),
         present=wide("present"),
         driven=wide("driven"),
-        under_way=wide("under_way")[:, 0],
+        during_drive=wide("during_drive")[:, 0],
         gap=wide("gap"),
         ttc=wide("ttc"),
         beliefs=_beliefs(tables, number, driver),

@@ -77,7 +77,7 @@ def _headline(view: View) -> str:
     ended = str(view.group["ending"]).replace("_", " ")
     return (
         f"Episode {view.number}: {view.driver} and the vehicles {names}, taken at {view.taken:.1f} s, driven for"
-        f" {view.group['driven_for']:.1f} s; ended by: {ended}."
+        f" {view.group['drive_duration']:.1f} s; ended by: {ended}."
     )
 
 
@@ -117,7 +117,7 @@ def _changes(beliefs: Sequence[Belief], taken: float) -> list[str]:
 
 def _drive(view: View, role: int) -> list[str]:
     """What a vehicle did from the take-over to the end of the drive."""
-    way = view.under_way
+    way = view.during_drive
     v, a, gap = view.feature("v")[way, role], view.feature("a")[way, role], view.gap[way, role]
     time = view.time[way] - view.taken
     hardest = int(a.argmin())
@@ -174,7 +174,7 @@ def _in_force(view: View) -> list[Belief]:
 
 def _driven_steps(view: View) -> np.ndarray:
     """Rows of the drive that have a successor in it."""
-    return np.flatnonzero(view.under_way)[:-1]
+    return np.flatnonzero(view.during_drive)[:-1]
 
 
 def _model(view: View, scenario: Scenario) -> tuple[Float[Tensor, "3 T D"], Float[Tensor, "3 T A"]]:
@@ -182,7 +182,7 @@ def _model(view: View, scenario: Scenario) -> tuple[Float[Tensor, "3 T D"], Floa
 
     In a merge the heading is that of the path over the ground, and y counts from the leader's lane at the take-over.
     """
-    rows = np.flatnonzero(view.under_way)
+    rows = np.flatnonzero(view.during_drive)
     s, d, v, a = (view.feature(name)[rows] for name in ("s", "d", "v", "a"))
     if isinstance(scenario.group, CarFollowing):
         offset, dynamics = model_offsets(view.length[None])[0], POINT_MASS_1D

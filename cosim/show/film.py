@@ -38,7 +38,7 @@ def _gaps(axes: Axes, view: View):
     time = view.time - view.taken
     for role in range(2):
         axes.plot(time, view.gap[:, role], color=ROLE_COLOURS[role], label=f"vehicle {role}")
-    axes.axvspan(0, float(view.group["driven_for"]), color="#0072b2", alpha=0.08, lw=0)
+    axes.axvspan(0, float(view.group["drive_duration"]), color="#0072b2", alpha=0.08, lw=0)
     axes.set(xlabel="time since take-over [s]", ylabel="net gap ahead [m]")
     axes.legend(frameon=False)
     return axes.axvline(time[0], color="0.2", lw=1)

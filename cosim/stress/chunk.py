@@ -13,7 +13,7 @@ import pandas as pd
 import torch
 from msgspec.structs import replace
 
-from cosim.loop.closed_loop import Files, RunningRoad, Trunk, simulation
+from cosim.loop.closed_loop import Files, RunningSimulation, Trunk, simulation
 from cosim.loop.driving import Driver, Start, drive, start
 from cosim.loop.perturbed_round import Intervention, prepare
 from cosim.loop.round_recorder import Round
@@ -104,7 +104,7 @@ def apart(task: Round, now: Snapshot) -> Round:
 
 
 def branches(
-    road: RunningRoad,
+    road: RunningSimulation,
     history: Sequence[Snapshot],
     task: Round,
     cells: dict[Cell, Scenario],
@@ -124,7 +124,7 @@ def branches(
     return rows
 
 
-def branch_rows(road: RunningRoad, begin: Start, intervention: Intervention, before: Snapshot) -> Rows:
+def branch_rows(road: RunningSimulation, begin: Start, intervention: Intervention, before: Snapshot) -> Rows:
     """Drive a perturbed round; this changes the world."""
     episodes = drive(road.world, road.frame, begin)
     trace, owned, gone = intervention.trace, begin.task.owned, intervention.third_gone
@@ -135,4 +135,4 @@ def branch_rows(road: RunningRoad, begin: Start, intervention: Intervention, bef
 
 
 def _labels(group: Group) -> dict[str, Any]:
-    return {"start": " ".join(group.ids), "taken_at": group.time}
+    return {"start": " ".join(group.ids), "takeover_time": group.time}

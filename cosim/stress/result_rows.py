@@ -34,14 +34,14 @@ def row_of(
     names = [] if third_gone else [episode.group.ids[2]]
     names += [change.successor] if change.successor is not None else []
     others = [_seen(trace, name, episode.end) for name in names]
-    d = episode.feature("d")[episode.under_way]
+    d = episode.feature("d")[episode.during_drive]
     return {
         "ending": episode.ending.value,
         "counted": episode.ending not in INTERRUPTED,
         "success": bool(episode.success),
         "contact": episode.ending is Ending.CONTACT,
         "hit": _hit(episode, change, trace) if episode.ending is Ending.CONTACT else "",
-        "driven_for": episode.end - episode.group.time,
+        "drive_duration": episode.end - episode.group.time,
         "lateral_change": float(abs(d[-1, 1] - d[-1, 0]) - abs(d[0, 1] - d[0, 0])),
         **surrogate_safety.conflicts([*owned, *(track for track in others if len(track.time))], (0, 1)),
         **surrogate_safety.comfort([owned[role][1:] for role in driven if len(owned[role].time) > 1] or owned),

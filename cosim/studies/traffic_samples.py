@@ -57,7 +57,7 @@ def recorded_samples(path: Path) -> pd.DataFrame:
 def run_samples(folder: Path) -> pd.DataFrame:
     """Samples of the vehicles 0 and 1 of a run while they were under way; `driver` says who drove them."""
     steps = read_tables(folder)["steps"]
-    steps = steps[steps["under_way"] & steps["present"] & steps["role"].isin([0, 1])]
+    steps = steps[steps["during_drive"] & steps["present"] & steps["role"].isin([0, 1])]
     step = steps["time"].drop_duplicates().sort_values().diff().min()
     tick = (steps["time"] / step).round().astype(int)
     steps = steps[tick % round(EVERY / step) == 0]

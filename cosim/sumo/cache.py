@@ -6,7 +6,7 @@ from typing import TypeVar
 T = TypeVar("T")
 
 
-class Kept(dict[str, T]):
+class CachedAnswers(dict[str, T]):
     """What does not change about vehicles; asked once."""
 
     def __init__(self, ask: Callable[[str], T]) -> None:

@@ -5,8 +5,8 @@ from collections.abc import Iterable, Sequence
 
 import libsumo
 
-from cosim.sumo.cache import Kept
-from cosim.world.snapshot import Character, Driving
+from cosim.sumo.cache import CachedAnswers
+from cosim.world.snapshot import DriverParameters, Driving
 
 _raw = libsumo._libsumo  # without the Python wrappers, for what is asked of every vehicle in every step
 _position, _speed, _vehicles = _raw.vehicle_getLanePosition, _raw.vehicle_getSpeed, _raw.lane_getLastStepVehicleIDs
@@ -16,9 +16,9 @@ _LEADER_RANGE = 100.0  # [m] within which leaders are told
 class Drivers:
     """SUMO's drivers in the running simulation; `sizes` are (length, width) of vehicles [m]."""
 
-    def __init__(self, sizes: Kept[tuple[float, float]]) -> None:
+    def __init__(self, sizes: CachedAnswers[tuple[float, float]]) -> None:
         self._sizes = sizes
-        self._least_gaps = Kept(libsumo.vehicle.getMinGap)
+        self._least_gaps = CachedAnswers(libsumo.vehicle.getMinGap)
 
     def driving(self, lanes: Sequence[str]) -> Driving:
         """Read the vehicles on these lanes and what SUMO says of their drivers; shadows of no kind, no twins."""
@@ -56,10 +56,10 @@ class Drivers:
         there = set(libsumo.vehicle.getIDList())
         return [libsumo.vehicle.getSpeed(v) if v in there else math.nan for v in vehicles]
 
-    def character(self, vehicle: str) -> Character:
+    def character(self, vehicle: str) -> DriverParameters:
         """What does not change about a vehicle and its driver."""
         api = libsumo.vehicle
-        return Character(
+        return DriverParameters(
             kind=api.getTypeID(vehicle),
             length=api.getLength(vehicle),
             width=api.getWidth(vehicle),

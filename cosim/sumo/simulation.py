@@ -15,11 +15,11 @@ from pathlib import Path
 import libsumo
 import numpy as np
 
-from cosim.sumo.cache import Kept
+from cosim.sumo.cache import CachedAnswers
 from cosim.sumo.drivers import Drivers
 from cosim.sumo.net import Net
 from cosim.world.road_frame import RoadFrame, heading_of, sumo_angle_of
-from cosim.world.snapshot import LANE_AHEAD, Around, Snapshot, StepReport, near, rows_of
+from cosim.world.snapshot import LANE_AHEAD, NearbyFilter, Snapshot, StepReport, near, rows_of
 
 _NO_CHECKS = 0  # speed mode: SUMO neither bounds nor corrects the commanded speed
 _NO_CHANGES = 0  # lane-change mode: SUMO never changes the vehicle's lane
@@ -52,12 +52,12 @@ class Sumo:
     """The running simulation, with its network and SUMO's drivers in it. Obtained from `sumo(...)` only."""
 
     def __init__(self) -> None:
-        self._sizes = Kept(lambda v: (libsumo.vehicle.getLength(v), libsumo.vehicle.getWidth(v)))
+        self._sizes = CachedAnswers(lambda v: (libsumo.vehicle.getLength(v), libsumo.vehicle.getWidth(v)))
         self._sized: tuple[tuple[str, ...], np.ndarray, np.ndarray] = ((), np.empty(0), np.empty(0))
         self.net, self.drivers = Net(), Drivers(self._sizes)
         self._modes: dict[str, tuple[int, int]] = {}  # (speed mode, lane-change mode) before take-over
         self._twins: set[str] = set()  # vehicles that have one
-        self._rings: list[Around] = []  # what the last snapshots around vehicles found, see _RINGS
+        self._rings: list[NearbyFilter] = []  # what the last snapshots around vehicles found, see _RINGS
         self._commanded: set[str] = set()  # vehicles with a moveToXY since the last step
         self.before_step: Callable[[], None] | None = None  # called by `step` before anything moves
 
@@ -128,7 +128,7 @@ class Sumo:
         for _, along, across in _RINGS[len(rings) :]:
             rows = np.flatnonzero(near(s, d, rows_of(ids, around), along, across, lane_ahead))
             ids, xy, s, d = tuple([ids[row] for row in rows.tolist()]), xy[rows], s[rows], d[rows]
-            rings.append(Around(around, lane_ahead, ids, now))
+            rings.append(NearbyFilter(around, lane_ahead, ids, now))
         return ids, xy, s, d
 
     def take(self, vehicle: str) -> None:
@@ -169,7 +169,7 @@ class Sumo:
         libsumo.vehicle.setLength(vehicle, length)
         libsumo.vehicle.setWidth(vehicle, width)
 
-    def place_twin(self, vehicle: str, x: float, y: float, heading: float, speed: float, lane: str) -> None:
+    def place_shadow(self, vehicle: str, x: float, y: float, heading: float, speed: float, lane: str) -> None:
         """Put a copy of the vehicle on a lane, for others to see; no snapshot, report or count shows it."""
         twin, api = _TWIN + vehicle, libsumo.vehicle
         if vehicle not in self._twins:
@@ -179,7 +179,7 @@ class Sumo:
             self._twins.add(vehicle)
         self.command(twin, x, y, heading, speed, lane)
 
-    def remove_twin(self, vehicle: str) -> None:
+    def remove_shadow(self, vehicle: str) -> None:
         """Take the vehicle's twin away, if there is one."""
         if vehicle in self._twins:
             self._twins.discard(vehicle)

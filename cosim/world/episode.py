@@ -81,7 +81,7 @@ class Episode:
         return self.state[..., COLUMNS.index(name)]
 
     @property
-    def under_way(self) -> Bool[np.ndarray, " T"]:
+    def during_drive(self) -> Bool[np.ndarray, " T"]:
         """The instants from the take-over to the end of the drive, whoever drove."""
         return (self.time >= self.group.time - 1e-6) & (self.time <= self.end + 1e-6)
 
@@ -120,6 +120,6 @@ class Episode:
 
         In car following every vehicle must be behind the next one, in a merge vehicle 0 behind the leader.
         """
-        s = self.feature("s")[np.flatnonzero(self.under_way)[-1]]
+        s = self.feature("s")[np.flatnonzero(self.during_drive)[-1]]
         followed = ((0, 1), (1, 2)) if self.order == (0, 1, 2) else ((0, 2),)
         return self.ending in ARRIVED and all(s[ahead] - s[behind] >= SUCCESS_HEADWAY for behind, ahead in followed)

@@ -103,7 +103,7 @@ class LaneChange(IntFlag):
 
 
 @dataclass(frozen=True)
-class Character:
+class DriverParameters:
     """What does not change about a vehicle and its driver; SI units."""
 
     kind: str
@@ -137,7 +137,7 @@ class Strip:
 
 
 @dataclass
-class Around:
+class NearbyFilter:
     """Who can come near the `vehicles` within some seconds: who was not far from them, and who entered since."""
 
     vehicles: tuple[str, ...]

@@ -19,8 +19,8 @@ from gri.data.ranges.recorded import RECORDED
 from gri.data.recorded import scenes_to_test
 from gri.data.store import Splits, recorded_splits, scenes_of, scenes_path
 from gri.errors import InputError
-from gri.evaluation.evaluate import Evaluation, believed, evaluate
-from gri.evaluation.true_relations import beside_truth, truth_tables
+from gri.evaluation.evaluate import Evaluation, driving_graph, evaluate
+from gri.evaluation.true_relations import compare_with_truth, truth_tables
 from gri.paper.reproduce import TABLES, Plan
 from gri.training.train import TrainConfig, read_train_config, train
 
@@ -114,7 +114,7 @@ def evaluate_command(
     console.print(_table(path.stem, evaluate(model, test), len(test)))
     infers = model.encoder is not None
     if infers and found is not None and found.hypothesis is not None and found.unambiguous is not None:
-        compared = beside_truth(believed(model, test).map, test.graph, found.hypothesis, found.unambiguous)
+        compared = compare_with_truth(driving_graph(model, test).map, test.graph, found.hypothesis, found.unambiguous)
         for table in truth_tables(compared, model.config.vocabulary):
             console.print(table)
     next_command("cosim --help")

@@ -22,7 +22,7 @@ from gri.data.recorded import recorded_scenes
 from gri.data.synthetic.expert import Range, make_scenes, train_expert
 from gri.data.synthetic.optimal_drivers import make_highway_scenes
 from gri.errors import InputError
-from gri.progress import Progress, silent
+from gri.progress import Progress, no_progress
 
 _SYNTHETIC: dict[str, Range] = {**RANGES, "lane_changing": LANE_CHANGING_SCENES, "highway_merge": HIGHWAY_MERGE}
 
@@ -90,7 +90,7 @@ def scenes_path(config: DataConfig, folder: Path) -> Path:
     return folder / f"{config.range}-{config.graphs}-{hashlib.sha256(content).hexdigest()[:10]}.npz"
 
 
-def scenes_of(config: DataConfig, folder: Path, progress: Progress = silent) -> Splits:
+def scenes_of(config: DataConfig, folder: Path, progress: Progress = no_progress) -> Splits:
     """The scenes of a configuration: from their file if it is there, else from a newly trained expert.
 
     Synthetic ones are followed by those of the files that the configuration names. Errors: `InputError` where a file is

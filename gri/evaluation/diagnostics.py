@@ -11,19 +11,19 @@ from gri.core.dynamics import Dynamics
 from gri.core.graph import EdgeType, InteractionGraph, agents_of, pairs
 from gri.core.scenes import Scenes
 from gri.evaluation import metrics
-from gri.evaluation.evaluate import believed
+from gri.evaluation.evaluate import driving_graph
 from gri.evaluation.graph_scores import shuffled, unshuffled
 from gri.evaluation.metrics import Summary
 from gri.networks.model import RelationalModel
 from gri.networks.rollout import mean_actions, rollout
-from gri.planning.best_response import Given, best_response
+from gri.planning.best_response import ResponseProblem, best_response
 from gri.rewards.structured import StructuredReward
 
 
 @torch.no_grad()
 def reconstruct(model: RelationalModel, scenes: Scenes) -> Float[Tensor, "S N T D"]:
     """One roll-out of mean actions under the MAP graph, as the tables score it."""
-    return rollout(model, scenes.start, believed(model, scenes).one_hot, scenes.leader).state
+    return rollout(model, scenes.start, driving_graph(model, scenes).one_hot, scenes.leader).state
 
 
 @torch.no_grad()
@@ -41,7 +41,7 @@ def fitted_sigma(model: RelationalModel, scenes: Scenes) -> Float[Tensor, " A"]:
 
     Models trained by roll-out error alone never use their σ; this one takes its place.
     """
-    graph = believed(model, scenes).one_hot
+    graph = driving_graph(model, scenes).one_hot
     means = mean_actions(model, scenes.state, graph, scenes.action.shape[1])
     return (scenes.action - means).square().mean((0, 1, 2)).sqrt()
 
@@ -52,7 +52,7 @@ def sampled_states(
 ) -> Float[Tensor, "M S N T D"]:
     """M roll-outs of every scene under its MAP graph with actions drawn from N(μ, σ²)."""
     generator = torch.Generator().manual_seed(seed)
-    graph = believed(model, scenes).one_hot
+    graph = driving_graph(model, scenes).one_hot
     drawn = []
     for _ in range(samples):
         noise = torch.randn(scenes.action.shape, generator=generator) * sigma / model.decoder.sigma
@@ -146,7 +146,9 @@ def _with_optimum(
     others = [i for i in range(n) if i != vehicle]
     kinds = tuple(int(types[pairs(n).index((i, vehicle))]) for i in others)
     state = scenes.state.clone()
-    state[:, vehicle] = best_response(Given(state[:, vehicle, 0], state[:, others], kinds), true, dynamics, dt)
+    state[:, vehicle] = best_response(
+        ResponseProblem(state[:, vehicle, 0], state[:, others], kinds), true, dynamics, dt
+    )
     return state
 
 

@@ -36,11 +36,11 @@ class Evaluation:
 @torch.no_grad()
 def evaluate(model: RelationalModel, scenes: Scenes) -> Evaluation:
     """Infer each scene's graph from its first `history_steps` states, then roll out from the start."""
-    graph = believed(model, scenes)
+    graph = driving_graph(model, scenes)
     n = scenes.state.shape[1]
     driven = rollout(model, scenes.start, graph.one_hot, scenes.leader)
     right = (graph.map == scenes.graph).float()
-    chain = (scenes.graph == papers_graph(model.config.vocabulary)).all(-1)
+    chain = (scenes.graph == graph_of_paper(model.config.vocabulary)).all(-1)
     return Evaluation(
         rmse={
             name: metrics.summary(metrics.rmse(driven.state, scenes.state, place))
@@ -61,19 +61,19 @@ def features(dynamics: Dynamics) -> dict[str, int]:
 
 def f1_by_type(graph: InteractionGraph, scenes: Scenes) -> dict[str, float]:
     """F1 of each type that occurs, over the edges into driven vehicles."""
-    inferred, true = graph_scores.into_driven(graph.map), graph_scores.into_driven(scenes.graph)
+    inferred, true = graph_scores.edges_into_driven(graph.map), graph_scores.edges_into_driven(scenes.graph)
     scores = {str(kind): graph_scores.f1(inferred, true, k) for k, kind in enumerate(graph.vocabulary)}
     return {kind: score for kind, score in scores.items() if score is not None}
 
 
-def believed(model: RelationalModel, scenes: Scenes) -> InteractionGraph:
+def driving_graph(model: RelationalModel, scenes: Scenes) -> InteractionGraph:
     """The graph a model drives by: inferred, or the true one where it is told (Supervised)."""
     if model.encoder is None and model.config.told_graph:
         return InteractionGraph.certain(scenes.graph, model.config.vocabulary)
     return model.infer(scenes.seen[:, :, : model.history_steps])
 
 
-def papers_graph(vocabulary: Vocabulary) -> Int[Tensor, " E"]:
+def graph_of_paper(vocabulary: Vocabulary) -> Int[Tensor, " E"]:
     """Types of the one true graph of the paper's scene: the chain of followers, or the merge."""
     graph = {FOLLOWING: CHAIN, YIELDING: MERGE_BEHIND}.get(vocabulary, MERGE)
     edges = {(e.sender, e.receiver): e.type for e in graph}

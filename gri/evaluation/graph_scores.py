@@ -18,7 +18,7 @@ from gri.core.graph import agents_of, pairs
 Types = Int[Tensor, "S E"]
 
 
-def into_driven(types: Types) -> Int[Tensor, "S F"]:
+def edges_into_driven(types: Types) -> Int[Tensor, "S F"]:
     """The edges that enter driven vehicles; no data speaks of those into the leader."""
     n = agents_of(types.shape[1])
     return types[:, [edge for edge, (_, receiver) in enumerate(pairs(n)) if receiver < n - 1]]

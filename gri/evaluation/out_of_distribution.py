@@ -24,7 +24,7 @@ from gri.evaluation.metrics import Summary
 from gri.networks.decoder import dense
 from gri.networks.model import RelationalModel, relative
 from gri.networks.rollout import rollout
-from gri.planning.best_response import Given, best_response
+from gri.planning.best_response import ResponseProblem, best_response
 from gri.rewards.structured import StructuredReward
 
 
@@ -139,8 +139,8 @@ def oracle(reward: StructuredReward, dynamics: Dynamics, dt: float, steps: int) 
     def drive(start: Tensor, front: Front) -> Tensor:
         ahead = constant_speed(start[:, 1], steps, dynamics, dt)
         if front is Front.POLICY:
-            ahead = best_response(Given(start[:, 1], ahead[:, None], (0,)), reward, dynamics, dt)
-        behind = best_response(Given(start[:, 0], ahead[:, None], (follow,)), reward, dynamics, dt)
+            ahead = best_response(ResponseProblem(start[:, 1], ahead[:, None], (0,)), reward, dynamics, dt)
+        behind = best_response(ResponseProblem(start[:, 0], ahead[:, None], (follow,)), reward, dynamics, dt)
         return torch.stack([behind, ahead], 1)
 
     return drive

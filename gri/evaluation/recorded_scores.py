@@ -13,7 +13,7 @@ from gri.core.graph import EdgeType, InteractionGraph, Vocabulary
 from gri.core.scenes import Scenes
 from gri.evaluation import diagnostics, graph_scores, metrics
 from gri.evaluation import out_of_distribution as ood
-from gri.evaluation.evaluate import believed, features
+from gri.evaluation.evaluate import driving_graph, features
 from gri.evaluation.metrics import Summary
 from gri.networks.model import RelationalModel
 from gri.networks.rollout import rollout
@@ -89,9 +89,9 @@ def compared(
 
 def graphs(model: RelationalModel, scenes: Scenes) -> dict[str, Any]:
     """Accuracies against the hypothesis, best naming, F1, and how often each edge has each type."""
-    inferred, vocabulary = believed(model, scenes).map, model.config.vocabulary
+    inferred, vocabulary = driving_graph(model, scenes).map, model.config.vocabulary
     naming = graph_scores.best_naming(inferred, scenes.graph, len(vocabulary), move_none=False)
-    driven = graph_scores.into_driven(inferred), graph_scores.into_driven(scenes.graph)
+    driven = graph_scores.edges_into_driven(inferred), graph_scores.edges_into_driven(scenes.graph)
     return {
         "accuracy": metrics.accuracy(inferred, scenes.graph),
         "accuracy_renamed": metrics.accuracy(graph_scores.renamed(inferred, naming), scenes.graph),

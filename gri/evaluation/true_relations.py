@@ -14,7 +14,7 @@ from gri.evaluation.metrics import Summary
 
 
 @dataclass(frozen=True)
-class BesideTruth:
+class TruthComparison:
     """Accuracies over all six edges, and who is taken for what."""
 
     accuracy: dict[str, Summary]
@@ -23,12 +23,12 @@ class BesideTruth:
     """Edges by true type (row) and inferred type (column)."""
 
 
-def beside_truth(
+def compare_with_truth(
     inferred: Int[Tensor, "S E"],
     true: Int[Tensor, "S E"],
     hypothesis: Int[Tensor, "S E"],
     unambiguous: Bool[Tensor, " S"],
-) -> BesideTruth:
+) -> TruthComparison:
     """Compare graphs, also on those scenes alone whose one graph says all that their steps say."""
     kinds = int(torch.stack([inferred, true]).max()) + 1
     accuracy, confusion, parts = {}, {}, {"": torch.ones_like(unambiguous)}
@@ -40,10 +40,10 @@ def beside_truth(
         pairs["most frequent, truth"] = t.mode(0).values.expand_as(t), t
         accuracy |= {f"{what}{name}": metrics.summary(metrics.accuracy(*both)) for what, both in pairs.items()}
         confusion[name] = torch.bincount((t * kinds + i).flatten(), minlength=kinds * kinds).reshape(kinds, kinds)
-    return BesideTruth(accuracy, confusion)
+    return TruthComparison(accuracy, confusion)
 
 
-def truth_tables(found: BesideTruth, vocabulary: Vocabulary) -> Iterator[Table]:
+def truth_tables(found: TruthComparison, vocabulary: Vocabulary) -> Iterator[Table]:
     """What a person reads."""
     accuracy = Table("accuracy, 6 edges", "mean ± std over scenes", "95 % ±", title="Beside the simulator's truth")
     for name, value in found.accuracy.items():

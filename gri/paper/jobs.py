@@ -24,7 +24,7 @@ from gri.data.store import Splits, scenes_of
 from gri.data.synthetic.expert import sample_starts, true_reward
 from gri.evaluation import diagnostics, graph_scores, metrics
 from gri.evaluation import out_of_distribution as ood
-from gri.evaluation.evaluate import believed
+from gri.evaluation.evaluate import driving_graph
 from gri.networks.model import Edge, RelationalModel
 from gri.paper.rows import Row, Scenario
 from gri.rewards.structured import StructuredReward
@@ -103,7 +103,7 @@ def examine(
 ) -> dict[str, Any]:
     """All that tables and figures say of one trained model; the same model gives the same values."""
     scenes = splits.test
-    graph = believed(model, scenes)
+    graph = driving_graph(model, scenes)
     true = true_reward(job.config.data.scene_range)
     states, types = diagnostics.reconstruct(model, scenes), forced_types(job, model, graph.map)
     return {
@@ -124,7 +124,7 @@ def graph_result(model: RelationalModel, inferred: Tensor, true: Tensor) -> dict
     """Accuracies, F1 of every type, the best namings, and the edge frequencies."""
     vocabulary = model.config.vocabulary
     count = len(vocabulary)
-    driven = graph_scores.into_driven(inferred), graph_scores.into_driven(true)
+    driven = graph_scores.edges_into_driven(inferred), graph_scores.edges_into_driven(true)
     namings = {
         name: graph_scores.best_naming(inferred, true, count, move_none=move)
         for name, move in (("types 1 to K-1", False), ("all types", True))

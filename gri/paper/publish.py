@@ -12,7 +12,7 @@ from gri.evaluation.out_of_distribution import Front
 from gri.paper import figures, rows, tables
 from gri.paper.jobs import Job
 from gri.paper.reproduce import Plan, make, oracles, provenance
-from gri.progress import Progress, silent
+from gri.progress import Progress, no_progress
 
 NOTES = """\
 Ours: mean over seeds ± standard deviation over test scenes (mean over seeds) [least seed, greatest seed]. Paper: mean
@@ -38,7 +38,7 @@ FRONTS = {
 }
 
 
-def publish(plan: Plan, progress: Progress = silent) -> list[Path]:
+def publish(plan: Plan, progress: Progress = no_progress) -> list[Path]:
     """Make what is missing, then write everything; returns the files."""
     began = time.monotonic()
     wanted = make(plan, progress)

@@ -17,7 +17,7 @@ from gri.data.store import scenes_of, scenes_path
 from gri.errors import InputError
 from gri.paper import jobs, rows
 from gri.paper.jobs import Job
-from gri.progress import Progress, silent
+from gri.progress import Progress, no_progress
 
 Target = Literal["table1", "table3", "ood", "figures"]
 TABLES: dict[str, tuple[str, ...]] = {
@@ -88,7 +88,7 @@ def _job(plan: Plan, scenario: rows.Scenario, row: rows.Row, seed: int) -> Job:
     return jobs.quick(job) if plan.quick else job
 
 
-def make(plan: Plan, progress: Progress = silent) -> list[Job]:
+def make(plan: Plan, progress: Progress = no_progress) -> list[Job]:
     """Do all jobs that are not done yet; returns all of them."""
     wanted = jobs_of(plan)
     if plan.finished:
@@ -133,7 +133,7 @@ def _in_processes(missing: Sequence[Job], plan: Plan):
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def oracles(plan: Plan, wanted: Sequence[Job], progress: Progress = silent) -> dict[str, list[dict]]:
+def oracles(plan: Plan, wanted: Sequence[Job], progress: Progress = no_progress) -> dict[str, list[dict]]:
     """The optimum's out-of-distribution curve of every scenario."""
     found: dict[str, list[dict]] = {}
     names = list(dict.fromkeys(job.scenario.name for job in wanted))

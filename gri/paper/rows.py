@@ -40,7 +40,7 @@ class Scenario:
     features: tuple[str, ...]
     protocol: Protocol
     paper: str
-    """Its section in paper.yaml."""
+    """Its section in published.yaml."""
     rows: tuple[Row, ...]
     flips: tuple[Flip, ...] = ()
 
@@ -150,4 +150,4 @@ class Paper(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 @cache
 def printed() -> dict[str, dict[str, Printed]]:
     """The paper's figures by scenario and row."""
-    return msgspec.structs.asdict(read_yaml(resources.PACKAGE / "paper.yaml", Paper))
+    return msgspec.structs.asdict(read_yaml(resources.PACKAGE / "paper/published.yaml", Paper))

@@ -22,11 +22,11 @@ from gri.errors import InputError
 from gri.evaluation import out_of_distribution as ood
 from gri.evaluation import recorded_scores as scores
 from gri.evaluation.diagnostics import reconstruct
-from gri.evaluation.evaluate import believed
+from gri.evaluation.evaluate import driving_graph
 from gri.networks.model import RelationalModel
 from gri.paper import table2_lanes
 from gri.paper.jobs import write
-from gri.progress import Progress, silent
+from gri.progress import Progress, no_progress
 from gri.training.baselines import idm
 from gri.training.train import TrainConfig, read_train_config, train
 
@@ -121,7 +121,7 @@ def jobs_of(scenario: str, seeds: int, sites: Sequence[str], names: Sequence[str
     return made
 
 
-def run(job: Job, path: Path, cache: Path, progress: Progress = silent) -> dict[str, Any]:
+def run(job: Job, path: Path, cache: Path, progress: Progress = no_progress) -> dict[str, Any]:
     """Do the job unless it is done; the result appears last and whole."""
     file = digest(path)
     folder = job.folder(cache, file)
@@ -164,7 +164,7 @@ def _examined(job: Job, model: RelationalModel, splits: Splits, found: Recorded)
     test, vocabulary = splits.test, model.config.vocabulary
     state = reconstruct(model, test)
     follow = scores.kept_edge(vocabulary, EdgeType.FOLLOW)
-    types = follow if job.row.meaning else ood.modal_edges(believed(model, test).map, (0, 1), 3)
+    types = follow if job.row.meaning else ood.modal_edges(driving_graph(model, test).map, (0, 1), 3)
     return {
         "errors": scores.errors(state, test.state, model.dynamics) | scores.best_of_samples(model, splits.train, test),
         "site": found.source.tolist(),

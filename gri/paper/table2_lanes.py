@@ -25,7 +25,7 @@ from gri.data.store import Splits
 from gri.evaluation import out_of_distribution as ood
 from gri.evaluation import recorded_scores as scores
 from gri.evaluation.diagnostics import reconstruct
-from gri.evaluation.evaluate import believed
+from gri.evaluation.evaluate import driving_graph
 from gri.networks.model import RelationalModel
 from gri.progress import Progress
 from gri.training.fine_tuning import FineTuning, fine_tune
@@ -140,14 +140,14 @@ def examined(model: RelationalModel, scenes: Scenes, meaning: bool) -> dict[str,
     return {
         "errors": scores.errors(state, scenes.state, model.dynamics),
         "graphs": graphs and {key: graphs[key] for key in ("accuracy", "accuracy_renamed", "driven_accuracy")},
-        "inferred": believed(model, scenes).map,
+        "inferred": driving_graph(model, scenes).map,
         "ood": yielding_by_ratio(model, scenes, meaning),
     }
 
 
 def yielding_by_ratio(model: RelationalModel, scenes: Scenes, meaning: bool) -> list[dict[str, Any]]:
     """The test out of distribution with the edge over which vehicle 0 yields: from 1 in H1, from 2 in H2."""
-    inferred, vocabulary = believed(model, scenes).map, model.config.vocabulary
+    inferred, vocabulary = driving_graph(model, scenes).map, model.config.vocabulary
     points: list[dict[str, Any]] = [{"ratio": ratio, "hits": 0, "contacts": 0, "scenes": 0} for ratio in scores.RATIOS]
     for sender in (1, 2):
         edge = pairs(3).index((sender, 0))

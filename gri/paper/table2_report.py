@@ -24,7 +24,7 @@ from gri.paper.reproduce import commit
 from gri.paper.rows import printed
 from gri.paper.table2 import IDM, Row
 from gri.paper.table2_text import PAPERS, Results, by_row, files_of, lines, printed_cell, write_figures, write_tables
-from gri.progress import Progress, silent
+from gri.progress import Progress, no_progress
 
 NOTES = """\
 Ours: mean over test scenes and seeds ± standard deviation over scenes (mean over seeds) [least seed, greatest seed].
@@ -64,7 +64,7 @@ class Order:
         return " ".join([*parts, *[f'--row "{row}"' for row in self.rows], *["--finished"] * self.finished])
 
 
-def publish(order: Order, progress: Progress = silent) -> list[Path]:
+def publish(order: Order, progress: Progress = no_progress) -> list[Path]:
     """Make what is missing, then write everything; returns the files."""
     began = time.monotonic()
     path = scene_file(order.source, order.cache, progress)

@@ -86,7 +86,7 @@ def _product(matrix: Tensor, vector: Tensor) -> Tensor:
 
 
 @dataclass(frozen=True)
-class Given:
+class ResponseProblem:
     """One scene per row: where the vehicle starts, and what the vehicles it may mind do meanwhile."""
 
     start: Float[Tensor, "B D"]
@@ -96,7 +96,7 @@ class Given:
 
 
 def best_response(
-    given: Given, reward: StructuredReward, dynamics: Dynamics, dt: float, iterations: int = 150
+    given: ResponseProblem, reward: StructuredReward, dynamics: Dynamics, dt: float, iterations: int = 150
 ) -> Float[Tensor, "B T D"]:
     """States of the vehicle under the actions with the highest true return, the best of several climbs.
 

@@ -6,7 +6,7 @@ import torch
 from gri.core.scenes import Scenes
 from gri.errors import InputError
 from gri.networks.model import RelationalModel
-from gri.progress import Progress, silent
+from gri.progress import Progress, no_progress
 from gri.rewards.structured import ShapedReward, StructuredReward
 from gri.training.adversarial.airl import AdversarialSettings, train_adversarial
 from gri.training.baselines.nri import NriSettings, train_nri
@@ -31,7 +31,7 @@ def fine_tune(
     scenes: Scenes,
     tuning: FineTuning,
     seed: int,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> None:
     """Train the model on in place. Rewards stay, as grounded models get the posterior of the new scenes from theirs;
     but in the game they go on learning.

@@ -18,18 +18,25 @@ from gri.evaluation.evaluate import evaluate
 from gri.networks.decoder import DecoderConfig
 from gri.networks.encoder import EncoderConfig
 from gri.networks.model import Edge, ModelConfig, RelationalModel
-from gri.progress import Progress, silent
+from gri.progress import Progress, no_progress
 from gri.rewards.structured import ShapedReward, StructuredReward
 from gri.rewards.unstructured import NetworkReward
 from gri.training.adversarial.airl import AdversarialSettings, in_the_game, train_adversarial
 from gri.training.baselines.nri import NriSettings, train_nri
 from gri.training.baselines.supervised import SupervisedSettings, train_supervised
-from gri.training.grounded.labelled_encoder import ToldSettings, train_told
+from gri.training.grounded.labelled_encoder import LabelledEncoderSettings, train_labelled_encoder
 from gri.training.grounded.recorded_traffic import RecordedSettings, train_recorded
 from gri.training.grounded.settings import GroundedSettings
 from gri.training.grounded.train_grounded import train_grounded
 
-Objective = GroundedSettings | RecordedSettings | ToldSettings | AdversarialSettings | NriSettings | SupervisedSettings
+Objective = (
+    GroundedSettings
+    | RecordedSettings
+    | LabelledEncoderSettings
+    | AdversarialSettings
+    | NriSettings
+    | SupervisedSettings
+)
 
 
 class TrainConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -92,7 +99,7 @@ def _all_alike(vehicles: int) -> tuple[Edge, ...]:
     return tuple(Edge(sender=i, receiver=j, type=EdgeType.FOLLOW) for i, j in pairs(vehicles))
 
 
-def train(config: TrainConfig, splits: Splits, seed: int, progress: Progress = silent) -> Trained:
+def train(config: TrainConfig, splits: Splits, seed: int, progress: Progress = no_progress) -> Trained:
     """Train from scratch; the same configuration, scenes, seed and versions give the same model."""
     began = time.monotonic(), time.process_time()
     torch.manual_seed(seed)
@@ -108,9 +115,9 @@ def train(config: TrainConfig, splits: Splits, seed: int, progress: Progress = s
         case RecordedSettings() as settings:
             reward = StructuredReward(scenes.reward)
             train_recorded(model, reward, splits.train, settings, seed, progress)
-        case ToldSettings() as settings:
+        case LabelledEncoderSettings() as settings:
             reward = StructuredReward(scenes.reward)
-            train_told(model, reward, splits.train, settings, seed, progress)
+            train_labelled_encoder(model, reward, splits.train, settings, seed, progress)
         case NriSettings() as settings:
             train_nri(model, splits.train, settings, seed, progress)
         case AdversarialSettings(rewards="networks") as settings:

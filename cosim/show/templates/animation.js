@@ -14,7 +14,7 @@ function chart(svg, y, film, name, unit, limit) {
   const low = Math.min(0, ...values), high = Math.max(low + 1, ...values) * 1.08;
   const h = CHART - 30, at = v => y + h - h * (Math.min(v, high) - low) / (high - low);
   make(svg, "rect", {x: x(t.findIndex(v => v >= 0)), y: y, height: h,
-    width: (W - LEFT - 8) * film.driven_for / (t[t.length - 1] - t[0]), fill: "var(--v0)", opacity: 0.09});
+    width: (W - LEFT - 8) * film.drive_duration / (t[t.length - 1] - t[0]), fill: "var(--v0)", opacity: 0.09});
   for (const v of [low, high / 2, high]) {
     make(svg, "line", {x1: LEFT, x2: W - 8, y1: at(v), y2: at(v), class: "axis"});
     make(svg, "text", {x: LEFT - 4, y: at(v) + 4, "text-anchor": "end"}, v.toFixed(v < 10 ? 1 : 0));
@@ -82,7 +82,7 @@ function play(box) {
       label.style.fill = colour;
     }
     now.forEach((line, c) => { line.setAttribute("x1", charts[c].x(k)); line.setAttribute("x2", charts[c].x(k)); });
-    told.textContent = `${t.toFixed(1)} s, ` + (t < -1e-6 ? "history" : t < film.driven_for + 1e-6 ? "driven" : "handed back");
+    told.textContent = `${t.toFixed(1)} s, ` + (t < -1e-6 ? "history" : t < film.drive_duration + 1e-6 ? "driven" : "handed back");
   }
   let running = false, began = 0, from = 0;
   function frame(stamp) {

@@ -7,7 +7,7 @@ from collections import Counter
 
 import numpy as np
 
-from gri.data.ngsim.rules import Rules, Sieve, ahead_of, splits_of
+from gri.data.ngsim.rules import Rules, SceneFilter, ahead_of, splits_of
 from gri.data.ngsim.smoothing import Motion
 
 
@@ -21,7 +21,7 @@ def triples(motion: Motion, rules: Rules, counts: Counter[str]) -> np.ndarray:
         [_begins(motion, s, n, rules) for s, n in zip(starts.tolist(), lengths.tolist(), strict=True)] or [starts]
     )
     follower = begin.astype(int)[:, None] + np.arange(rules.following_steps)
-    sieve = Sieve(motion, np.stack([follower, first[follower], second[follower]], 1), counts)
+    sieve = SceneFilter(motion, np.stack([follower, first[follower], second[follower]], 1), counts)
     headway = np.diff(sieve.of("x"), axis=1)
     sieve.reject("too far apart", (headway >= rules.spacing).any((1, 2)))
     gap = np.diff(sieve.of("x"), axis=1) - sieve.of("length")[:, 1:]

@@ -18,13 +18,13 @@ from gri.data.ngsim.car_following import triples
 from gri.data.ngsim.columns import FRAME
 from gri.data.ngsim.defects import Quality, clean
 from gri.data.ngsim.lane_changing import GRAPHS, Reading, groups
-from gri.data.ngsim.recordings import Recording, shelve
+from gri.data.ngsim.recordings import Recording, store_recordings
 from gri.data.ngsim.rules import FREEWAYS, Rules, splits_of
 from gri.data.ngsim.smoothing import Motion, smoothed
 from gri.data.scene_file.schema import Header, SceneBlock, header_of, names_of, writing
 from gri.errors import InputError
 from gri.networks.model import CHAIN, Edge
-from gri.progress import Progress, silent
+from gri.progress import Progress, no_progress
 
 Kind = Literal["car_following", "lane_changing_h1", "lane_changing_h2"]
 READINGS: dict[Kind, Reading] = {"lane_changing_h1": "H1", "lane_changing_h2": "H2"}
@@ -42,11 +42,13 @@ class Extracted:
     reports: tuple[Quality, ...]
 
 
-def inspect(path: Path, site: str | None = None, progress: Progress = silent) -> tuple[list[Quality], dict[str, int]]:
+def inspect(
+    path: Path, site: str | None = None, progress: Progress = no_progress
+) -> tuple[list[Quality], dict[str, int]]:
     """The data report of every recording of a file, and how many rows of each site could not be read."""
     with tempfile.TemporaryDirectory(prefix="gri-ngsim-") as folder:
-        shelf = shelve(path, Path(folder), site, progress)
-        return [clean(recording)[1] for recording in shelf], dict(shelf.unreadable)
+        store = store_recordings(path, Path(folder), site, progress)
+        return [clean(recording)[1] for recording in store], dict(store.unreadable)
 
 
 def extract(
@@ -55,7 +57,7 @@ def extract(
     rules: Rules,
     kinds: Sequence[Kind] = KINDS,
     site: str | None = None,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> Extracted:
     """Write all scenes of the files; the same files, rules and versions give the same bytes."""
     scenes: Counter[tuple[str, str, str]] = Counter()
@@ -77,16 +79,16 @@ def extract(
     with writing(out, _header(paths, rules, kinds, site)) as write:
         for path in paths:
             with tempfile.TemporaryDirectory(prefix="gri-ngsim-") as folder:
-                shelf = shelve(path, Path(folder), site, progress)
-                for done, recording in enumerate(shelf):
+                store = store_recordings(path, Path(folder), site, progress)
+                for done, recording in enumerate(store):
                     cut(recording, write)
-                    progress(f"cutting {path.name}", done + 1, len(shelf.keys), float(scenes.total()))
+                    progress(f"cutting {path.name}", done + 1, len(store.keys), float(scenes.total()))
         if not scenes:
             raise InputError(f"{', '.join(map(str, paths))}: no scene keeps the rules; see `gri ngsim inspect`")
     return Extracted(scenes, rejected, tuple(reports))
 
 
-def scene_file(source: Path, folder: Path, progress: Progress = silent) -> Path:
+def scene_file(source: Path, folder: Path, progress: Progress = no_progress) -> Path:
     """A scene file as it is, or the one cut from an NGSIM file or a folder of them, kept under a name that says the
     rules. Errors: `InputError` where there is neither.
     """

@@ -15,7 +15,7 @@ from typing import Literal
 
 import numpy as np
 
-from gri.data.ngsim.rules import Rules, Sieve
+from gri.data.ngsim.rules import Rules, SceneFilter
 from gri.data.ngsim.smoothing import Motion
 from gri.networks.model import MERGE_BEHIND, MERGE_BETWEEN, Edge
 
@@ -39,7 +39,7 @@ def groups(motion: Motion, rules: Rules, reading: Reading, counts: Counter[str])
     if len(found) and np.ptp(motion.y) == 0:
         counts["lateral position not recorded"] += len(found)
         found = []
-    sieve = Sieve(motion, np.stack(found) if found else np.zeros((0, 3, rules.changing_steps), int), counts)
+    sieve = SceneFilter(motion, np.stack(found) if found else np.zeros((0, 3, rules.changing_steps), int), counts)
     changes = (np.diff(sieve.of("lane")[:, 0], axis=1) != 0).sum(1)
     sieve.reject("several lane changes", changes != 1)
     sieve.reject("lanes not next to each other", np.ptp(sieve.of("lane")[:, 0], axis=1) != 1)
@@ -51,7 +51,7 @@ def groups(motion: Motion, rules: Rules, reading: Reading, counts: Counter[str])
     return sieve.rows
 
 
-def _close(sieve: Sieve, rules: Rules, reading: Reading) -> None:
+def _close(sieve: SceneFilter, rules: Rules, reading: Reading) -> None:
     """Interactive, and in the order that the graph speaks of at the first step."""
     x, lane = sieve.of("x"), sieve.of("lane")[:, 0]
     crossing = (lane != lane[:, :1]).argmax(1)

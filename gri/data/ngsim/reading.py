@@ -18,7 +18,7 @@ import pandas as pd
 
 from gri.data.ngsim.columns import LOCATION, NEEDED, OFFICIAL, normal
 from gri.errors import InputError
-from gri.progress import Progress, silent
+from gri.progress import Progress, no_progress
 
 CHUNK = 250_000  # rows
 FIX = "download the file again, or give one that has the official columns"
@@ -33,7 +33,7 @@ class Layout:
     separator: str
 
 
-def chunks(path: Path, progress: Progress = silent) -> Iterator[pd.DataFrame]:
+def chunks(path: Path, progress: Progress = no_progress) -> Iterator[pd.DataFrame]:
     """Tables of up to `CHUNK` rows with the needed columns as numbers, NaN where a cell was none.
 
     The column `location` is there if the file has it. Errors: `InputError` for a file that is missing, empty, cut

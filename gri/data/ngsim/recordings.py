@@ -18,7 +18,7 @@ import pandas as pd
 from gri.data.ngsim.columns import LOCATION, NEEDED
 from gri.data.ngsim.reading import chunks
 from gri.errors import InputError
-from gri.progress import Progress, silent
+from gri.progress import Progress, no_progress
 
 RECORDINGS = 500  # more in one file: the clock is not what it should be
 ROW = np.dtype(
@@ -55,7 +55,7 @@ class Recording:
 
 
 @dataclass
-class Shelf:
+class Store:
     """Recordings of a file, sorted out on disk; `unreadable` counts rows with a cell that is no number."""
 
     folder: Path
@@ -77,37 +77,37 @@ class Shelf:
         return self.folder / f"{list(self.keys).index(key)}.rows"
 
 
-def recordings(path: Path, site: str | None = None, progress: Progress = silent) -> Iterator[Recording]:
-    """The recordings of a file, one after the other, rows in the order of the file; see `shelve`."""
+def recordings(path: Path, site: str | None = None, progress: Progress = no_progress) -> Iterator[Recording]:
+    """The recordings of a file, one after the other, rows in the order of the file; see `store_recordings`."""
     with tempfile.TemporaryDirectory(prefix="gri-ngsim-") as folder:
-        yield from shelve(path, Path(folder), site, progress)
+        yield from store_recordings(path, Path(folder), site, progress)
 
 
-def shelve(path: Path, folder: Path, site: str | None = None, progress: Progress = silent) -> Shelf:
+def store_recordings(path: Path, folder: Path, site: str | None = None, progress: Progress = no_progress) -> Store:
     """Sort a file's rows out by recording into files of that folder.
 
     The site stands in the column `Location`. Where there is none it is `site`, else what the file's name or the day
     says. Errors: `InputError` for a file that cannot be read, or whose clock makes no sense.
     """
-    shelf = Shelf(folder)
+    store = Store(folder)
     for table in chunks(path, progress):
         readable = table[list(NEEDED)].notna().all(axis=1)
         sites = _sites(table, path, site)
         for name, count in sites.loc[~readable].value_counts().items():
-            shelf.unreadable[str(name)] += int(count)
+            store.unreadable[str(name)] += int(count)
         table, sites = table.loc[readable], sites.loc[readable]
         clock = (table["global_time"] - 100 * table["frame_id"]).round().astype("int64")
         for name in sites.unique():
             for time in clock[sites == name].unique():
-                shelf.put((str(name), int(time)), _packed(table.loc[(sites == name) & (clock == time)]))
-        if len(shelf.keys) > RECORDINGS:
+                store.put((str(name), int(time)), _packed(table.loc[(sites == name) & (clock == time)]))
+        if len(store.keys) > RECORDINGS:
             raise InputError(
                 f"{path}: Global_Time - 100 x Frame_ID has more than {RECORDINGS} values, wanted one per recording; "
                 "the two columns do not belong together"
             )
-    if not shelf.keys:
+    if not store.keys:
         raise InputError(f"{path}: no row could be read as numbers; give a file with the official columns")
-    return shelf
+    return store
 
 
 def _packed(table: pd.DataFrame) -> np.ndarray:

@@ -71,7 +71,7 @@ def splits_of(vehicle: np.ndarray, rules: Rules) -> np.ndarray:
     return np.array(SPLITS)[(vehicle // rules.block) % len(SPLITS)]
 
 
-class Sieve:
+class SceneFilter:
     """Candidates that are still in: rows [S, N, T] of a `Motion`; every rejection is counted under its reason."""
 
     def __init__(self, motion: Motion, rows: np.ndarray, counts: Counter[str]) -> None:

@@ -15,7 +15,7 @@ from gri.networks.decoder import DecoderConfig
 from gri.networks.encoder import EncoderConfig
 from gri.networks.model import Edge, ModelConfig, RelationalModel
 from gri.networks.rollout import rollout
-from gri.progress import Progress, silent
+from gri.progress import Progress, no_progress
 from gri.rewards.structured import StructuredReward
 
 Range = SceneRange | LaneChangingRange | HighwayMergeRange
@@ -112,7 +112,7 @@ def train_expert(
     seed: int,
     updates: int = 1500,
     batch: int = 128,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> RelationalModel:
     """A policy that maximises the true return under the true graph by back-propagation through roll-outs.
 

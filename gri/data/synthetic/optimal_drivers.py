@@ -25,7 +25,7 @@ from gri.data.ranges.highway_merge import (
 )
 from gri.data.synthetic.expert import true_reward
 from gri.planning.ilqr import Task, climb_by_steps
-from gri.progress import Progress, silent
+from gri.progress import Progress, no_progress
 
 SWEEPS, ITERATIONS = 2, 12
 CAR_WIDTH = 2.0  # [m]
@@ -37,7 +37,7 @@ def make_highway_scenes(
     graphs: Literal["one", "mixed"],
     count: int,
     seed: int,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> Scenes:
     """Scenes in random order, with their histories; without those in which the optimum has a contact or, merging behind
     the leader, ends ahead of it.

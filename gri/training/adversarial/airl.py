@@ -26,9 +26,9 @@ from gri.core.scenes import Scenes
 from gri.networks.model import RelationalModel
 from gri.networks.rollout import log_prob_of, rollout
 from gri.planning.laplace_likelihood import edge_prior
-from gri.progress import Progress, silent
+from gri.progress import Progress, no_progress
 from gri.rewards.structured import AnyRewardConfig, NaturalisticConfig, ShapedReward, StructuredReward
-from gri.training.adversarial.discriminator import Judged, airl_logit, discriminator_loss, judge, shaped
+from gri.training.adversarial.discriminator import DiscriminatorOutput, airl_logit, discriminator_loss, judge, shaped
 from gri.training.grounded.planned_start import PlanSettings, plan_by_optima
 from gri.training.optimisation import Bottleneck, Descent, batches, categorical_kl, updated_beta
 
@@ -114,7 +114,7 @@ def train_adversarial(
     scenes: Scenes,
     settings: AdversarialSettings,
     seed: int,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> None:
     """Play the game; trains the model and the reward in place."""
     generator = torch.Generator().manual_seed(seed)
@@ -148,7 +148,7 @@ def begin(
     settings: AdversarialSettings,
     start: PlannedStart,
     generator: torch.Generator,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> None:
     """The moves before the game; the reward stays as it is."""
     assert isinstance(reward.reward, StructuredReward), "only a reward of known terms can be planned on"
@@ -178,7 +178,7 @@ class EncoderPlayer:
         batch: Scenes,
         graph: InteractionGraph,
         z: Float[Tensor, "B E K"],
-        judged: Judged,
+        judged: DiscriminatorOutput,
     ) -> float:
         """One update from one batch and the graphs z drawn for it; returns the loss."""
         kl = categorical_kl(graph.logits, self.prior).mean()
@@ -197,7 +197,7 @@ def spread(logits: Float[Tensor, "B E K"]) -> Float[Tensor, ""]:
 
 @torch.no_grad()
 def encoder_slope(
-    reward: ShapedReward, batch: Scenes, judged: Judged, settings: AdversarialSettings
+    reward: ShapedReward, batch: Scenes, judged: DiscriminatorOutput, settings: AdversarialSettings
 ) -> Float[Tensor, "B E K"]:
     """The gradient of J that the encoder is given, for edges into driven vehicles; 0 for the others."""
     expert, generated = reward.edges(batch.state), reward.edges(judged.rollout.state)

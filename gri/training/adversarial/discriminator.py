@@ -22,7 +22,7 @@ def discriminator_loss(expert: Float[Tensor, "B R T"], generated: Float[Tensor, 
     return (softplus(-expert) + softplus(generated)).mean()
 
 
-class Judged(msgspec.Struct, frozen=True):
+class DiscriminatorOutput(msgspec.Struct, frozen=True):
     """One batch seen by the discriminator: logits of recorded and generated steps, and the generated roll-out."""
 
     expert: Tensor
@@ -30,14 +30,16 @@ class Judged(msgspec.Struct, frozen=True):
     rollout: Rollout
 
 
-def judge(model: RelationalModel, reward: ShapedReward, batch: Scenes, z: Tensor, generator: torch.Generator) -> Judged:
+def judge(
+    model: RelationalModel, reward: ShapedReward, batch: Scenes, z: Tensor, generator: torch.Generator
+) -> DiscriminatorOutput:
     """Roll the policy out under z and form the logits of D; differentiable in the reward only."""
     with torch.no_grad():
         noise = torch.randn(batch.action.shape, generator=generator)
         driven = rollout(model, batch.start, z, batch.leader, noise)
         log_pi_expert = log_prob_of(model, batch.state, batch.action, z)
         log_pi_generated = log_density(noise, model.decoder.sigma)
-    return Judged(
+    return DiscriminatorOutput(
         airl_logit(shaped(reward, batch.state, batch.action, z), log_pi_expert),
         airl_logit(shaped(reward, driven.state, driven.action, z), log_pi_generated),
         driven,

@@ -12,7 +12,7 @@ from gri.core.dynamics import stop_at_standstill
 from gri.core.policy import IntelligentDriver
 from gri.core.scenes import Scenes
 from gri.core.trajectory import Trajectory
-from gri.progress import Progress, silent
+from gri.progress import Progress, no_progress
 from gri.training.optimisation import reconstruction_loss
 
 FITTED = {
@@ -39,7 +39,7 @@ def drive(
     return torch.stack(states, 2)
 
 
-def calibrate(scenes: Scenes, dt: float, progress: Progress = silent) -> IntelligentDriver:
+def calibrate(scenes: Scenes, dt: float, progress: Progress = no_progress) -> IntelligentDriver:
     """The one driver for all scenes that minimises the error by which the models are trained (Nelder-Mead)."""
     driver = IntelligentDriver(dt)
     first = np.log([getattr(driver, name) for name in FITTED])

@@ -14,7 +14,7 @@ from gri.core.scenes import Scenes
 from gri.networks.model import RelationalModel
 from gri.networks.rollout import rollout
 from gri.planning.laplace_likelihood import edge_prior
-from gri.progress import Progress, silent
+from gri.progress import Progress, no_progress
 from gri.training.optimisation import (
     Bottleneck,
     Descent,
@@ -41,7 +41,7 @@ class NriSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
 
 
 def train_nri(
-    model: RelationalModel, scenes: Scenes, settings: NriSettings, seed: int, progress: Progress = silent
+    model: RelationalModel, scenes: Scenes, settings: NriSettings, seed: int, progress: Progress = no_progress
 ) -> None:
     """Train the model in place."""
     assert model.encoder is not None, "NRI infers graphs; give the model an encoder"

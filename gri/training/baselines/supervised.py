@@ -6,7 +6,7 @@ import torch
 from gri.core.scenes import Scenes
 from gri.networks.model import RelationalModel
 from gri.networks.rollout import rollout
-from gri.progress import Progress, silent
+from gri.progress import Progress, no_progress
 from gri.training.optimisation import Descent, action_error, batches, reconstruction_loss
 
 
@@ -25,7 +25,7 @@ def train_supervised(
     scenes: Scenes,
     settings: SupervisedSettings,
     seed: int,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> None:
     """Train the model's decoder in place."""
     generator = torch.Generator().manual_seed(seed)

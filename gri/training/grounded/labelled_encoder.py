@@ -12,14 +12,14 @@ from gri import checkpoint, resources
 from gri.core.scenes import Scenes
 from gri.errors import InputError
 from gri.networks.model import RelationalModel
-from gri.progress import Progress, silent
+from gri.progress import Progress, no_progress
 from gri.rewards.structured import StructuredReward
 from gri.training.grounded.reward_likelihood import fit_reward
 from gri.training.grounded.settings import GroundedSettings
 from gri.training.grounded.train_grounded import fit_encoder_and_policy, plan
 
 
-class ToldSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="gri_told"):
+class LabelledEncoderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="gri_told"):
     """The stages' settings; those of the posterior over graphs are used for the reward alone."""
 
     grounded: GroundedSettings
@@ -29,13 +29,13 @@ class ToldSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     """
 
 
-def train_told(
+def train_labelled_encoder(
     model: RelationalModel,
     reward: StructuredReward,
     scenes: Scenes,
-    settings: ToldSettings,
+    settings: LabelledEncoderSettings,
     seed: int,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> None:
     """Train the model and the reward in place."""
     generator, grounded = torch.Generator().manual_seed(seed), settings.grounded

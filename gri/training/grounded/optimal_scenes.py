@@ -17,7 +17,7 @@ from gri.core.scenes import Scenes
 from gri.networks.model import RelationalModel
 from gri.networks.rollout import rollout
 from gri.planning.ilqr import Task, climb_by_steps
-from gri.progress import Progress, silent
+from gri.progress import Progress, no_progress
 from gri.rewards.structured import StructuredReward
 from gri.training.optimisation import squared_error
 
@@ -42,7 +42,7 @@ def optimal_scenes(
     leader: Float[Tensor, "B T D"],
     graph: Float[Tensor, "B E K"],
     settings: OptimaSettings,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> Scenes:
     """Every driven vehicle on its best response under the graph; the roll-outs of the model are the first guess."""
     steps = leader.shape[1]

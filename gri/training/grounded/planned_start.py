@@ -5,12 +5,12 @@ import torch
 
 from gri.core.scenes import Scenes
 from gri.networks.model import RelationalModel
-from gri.progress import Progress, silent
+from gri.progress import Progress, no_progress
 from gri.rewards.structured import StructuredReward
 from gri.training.grounded.augmentation import Shifts
 from gri.training.grounded.optimal_scenes import OptimaSettings, distance, optimal_scenes
 from gri.training.grounded.settings import GroundedSettings
-from gri.training.grounded.train_grounded import begun_elsewhere, plan
+from gri.training.grounded.train_grounded import off_data_returns, plan
 from gri.training.optimisation import Descent, batches
 
 
@@ -31,7 +31,7 @@ def plan_by_optima(
     scenes: Scenes,
     settings: PlanSettings,
     generator: torch.Generator,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> None:
     """Train the policy in place. Of the scenes only the starts and the leader are used, no demonstration."""
     climbing = GroundedSettings(
@@ -41,7 +41,7 @@ def plan_by_optima(
         shifts=Shifts(position=(0.0, 0.0)),
     )
     plan(model, reward, scenes, climbing, generator, progress)
-    begun = begun_elsewhere(model, scenes, climbing, settings.optima.scenes, generator)
+    begun = off_data_returns(model, scenes, climbing, settings.optima.scenes, generator)
     optima = optimal_scenes(model, reward, *begun, settings.optima, progress)
     total = settings.imitation_updates
     descent = Descent(model.decoder.parameters(), settings.rate, total)

@@ -17,7 +17,7 @@ from gri.core.scenes import Scenes
 from gri.networks.model import RelationalModel
 from gri.planning.laplace_likelihood import combination_prior, marginals, scene_prior
 from gri.planning.riccati_likelihood import expand_steps, log_likelihood_by_steps
-from gri.progress import Progress, silent
+from gri.progress import Progress, no_progress
 from gri.rewards.structured import StructuredReward
 from gri.training.grounded.policy_posterior import posterior_by_policy
 from gri.training.grounded.settings import GroundedSettings
@@ -52,7 +52,7 @@ def train_recorded(
     scenes: Scenes,
     settings: RecordedSettings,
     seed: int,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> None:
     """Train the model and the reward in place."""
     generator, grounded = torch.Generator().manual_seed(seed), settings.grounded
@@ -74,7 +74,7 @@ def fit_references(
     scenes: Scenes,
     settings: RecordedSettings,
     generator: torch.Generator,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> None:
     """Maximise Σ_j log Σ_z p(z_j)·p(u_j | z_j) over weights, α and reference networks."""
     total = settings.reward_updates
@@ -183,7 +183,7 @@ def recorded_posterior(
     reward: StructuredReward,
     scenes: Scenes,
     settings: RecordedSettings,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     chunk: int = 256,
 ) -> Float[Tensor, "S E K"]:
     """p(z_ij | u) of every scene under the reward as it stands."""

@@ -12,7 +12,7 @@ from gri.core.scenes import Scenes
 from gri.networks.model import RelationalModel
 from gri.planning.laplace_likelihood import Expansion, combination_prior, expand, log_likelihood, marginals, scene_prior
 from gri.planning.riccati_likelihood import StepExpansion, expand_steps, log_likelihood_by_steps
-from gri.progress import Progress, silent
+from gri.progress import Progress, no_progress
 from gri.rewards.structured import StructuredReward
 from gri.training.grounded.settings import GroundedSettings
 from gri.training.optimisation import Descent, batches
@@ -24,7 +24,7 @@ def fit_reward(
     scenes: Scenes,
     settings: GroundedSettings,
     generator: torch.Generator,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> None:
     """Maximise Σ_j log Σ_z p(z_j)·p(u_j | z_j) over the reward's weights and α."""
     chosen = torch.randperm(len(scenes), generator=generator)[: settings.reward_scenes]
@@ -45,7 +45,7 @@ def scene_posterior(
     reward: StructuredReward,
     scenes: Scenes,
     settings: GroundedSettings,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> Float[Tensor, "S E K"]:
     """p(z_ij | u) of every scene under the reward as it stands."""
     parts = []

@@ -18,7 +18,7 @@ from gri.core.scenes import Scenes
 from gri.data.synthetic.expert import returns
 from gri.networks.model import RelationalModel
 from gri.networks.rollout import rollout
-from gri.progress import Progress, silent
+from gri.progress import Progress, no_progress
 from gri.rewards.structured import StructuredReward
 from gri.training.grounded.augmentation import augment, elsewhere
 from gri.training.grounded.optimal_scenes import distance, optimal_scenes
@@ -34,7 +34,7 @@ def train_grounded(
     scenes: Scenes,
     settings: GroundedSettings,
     seed: int,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> None:
     """Train the model and the reward in place."""
     generator = torch.Generator().manual_seed(seed)
@@ -55,7 +55,7 @@ def plan(
     scenes: Scenes,
     settings: GroundedSettings,
     generator: torch.Generator,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
 ) -> None:
     """Let the policy maximise the learned reward under random graphs before it has seen how anyone drives."""
     descent = Descent(model.decoder.parameters(), settings.policy_rate, settings.planner_updates, clip=1.0)
@@ -72,7 +72,7 @@ def fit_encoder_and_policy(
     posterior: Float[Tensor, "S E K"],
     settings: GroundedSettings,
     generator: torch.Generator,
-    progress: Progress = silent,
+    progress: Progress = no_progress,
     weight: Float[Tensor, " S"] | None = None,
 ) -> None:
     """One update of each per batch; neither sees the other's gradient. The posterior is that of the first scenes.
@@ -82,7 +82,7 @@ def fit_encoder_and_policy(
     assert model.encoder is not None, "grounded training infers graphs; give the model an encoder"
     optima = None
     if settings.optima is not None:
-        begun = begun_elsewhere(model, scenes, settings, settings.optima.scenes, generator)
+        begun = off_data_returns(model, scenes, settings, settings.optima.scenes, generator)
         optima = optimal_scenes(model, reward, *begun, settings.optima, progress)
     beside = settings.updates if settings.encoder_updates is None else settings.encoder_updates
     lead = settings.encoder_lead
@@ -103,8 +103,8 @@ def fit_encoder_and_policy(
             )
         if shown is not None:
             to_encoder.step(_cross_entropy(posterior[known], shown))
-        believed = _believed(graph, posterior[known], settings, generator)
-        driven = rollout(model, batch.start, believed, batch.leader)
+        driving_graph = _believed(graph, posterior[known], settings, generator)
+        driven = rollout(model, batch.start, driving_graph, batch.leader)
         loss = reconstruction_loss(driven.state, batch.state, model.dynamics)
         if settings.action_weight:
             loss = loss + settings.action_weight * action_error(driven.action, batch.action, model.decoder.action_unit)
@@ -155,12 +155,12 @@ def grounded_return(
     generator: torch.Generator,
 ) -> Float[Tensor, ""]:
     """Mean learned reward per step under random graphs, half of the starts shifted; each vehicle for itself."""
-    start, leader, graph = begun_elsewhere(model, scenes, settings, count, generator)
+    start, leader, graph = off_data_returns(model, scenes, settings, count, generator)
     driven = rollout(model, start, graph, leader, selfish=True)
     return returns(reward, driven.state, driven.action, graph).mean()
 
 
-def begun_elsewhere(
+def off_data_returns(
     model: RelationalModel, scenes: Scenes, settings: GroundedSettings, count: int, generator: torch.Generator
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Starts of random scenes, shifted as the settings say, their leader's states, and random graphs (`elsewhere`)."""

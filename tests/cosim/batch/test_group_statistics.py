@@ -11,8 +11,8 @@ def row(policy: str, driver: str, vehicle: str, seed: int = 1, **changes) -> dic
     return {
         "run": f"{policy}{seed}", "scenario": "s", "policy": policy, "perturbation": "nominal", "intensity": np.nan,
         "variant": "plain", "seed": seed, "driver": driver, "vehicle_0": vehicle, "vehicle_1": "b", "vehicle_2": "c",
-        "taken_at": 10.0, "ending": "horizon", "success": True, "contact": False, "min_ttc": np.inf, "min_gap": 10.0,
-        "mean_speed": 10.0, "jerk_within_3": 1.0, "min_acceleration": -1.0,
+        "takeover_time": 10.0, "ending": "horizon", "success": True, "contact": False, "min_ttc": np.inf,
+        "min_gap": 10.0, "mean_speed": 10.0, "jerk_within_3": 1.0, "min_acceleration": -1.0,
     } | changes  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from tests.cosim.batch.conftest import SHORT, cosim, tables
+from tests.cosim.commands.conftest import SHORT, cosim, tables
 
 
 def states(folder: Path) -> Counter[str]:

@@ -83,7 +83,7 @@ def test_a_baseline_drives_the_same_groups(short):
     done = cosim("run", "short.yaml", "--baseline", "idm", "--out", "idm", cwd=short)
     assert done.returncode == 0, done.stderr
     groups, reference = (pd.read_parquet(short / name / "groups.parquet") for name in ("idm", "one"))
-    ids = ["vehicle_0", "vehicle_1", "vehicle_2", "taken_at"]
+    ids = ["vehicle_0", "vehicle_1", "vehicle_2", "takeover_time"]
     pd.testing.assert_frame_equal(groups[ids].head(4), reference[ids].head(4))
 
 

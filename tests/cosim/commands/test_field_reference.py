@@ -6,7 +6,7 @@ from cosim.batch.spec import Batch
 from cosim.commands.field_reference import markdown
 from cosim.spec.scenario import Scenario
 
-DOCUMENT = Path(__file__).parents[2] / "docs/reference.md"
+DOCUMENT = Path(__file__).parents[3] / "docs/reference.md"
 
 
 def test_the_document_is_what_the_command_prints():

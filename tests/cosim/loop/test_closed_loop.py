@@ -126,7 +126,7 @@ def test_a_contact_ends_the_group_and_both_tests_see_it(short_scenario, simulate
         kinds = {event.kind for event in episode.events if event.time <= episode.end}
         assert EventKind.CONTACT in kinds
         assert EventKind.SUMO_COLLISION in kinds
-        assert episode.gap[episode.under_way].min() < 0
+        assert episode.gap[episode.during_drive].min() < 0
         assert not episode.success
         assert not episode.driven[episode.time > episode.end].any()
 

@@ -2,7 +2,7 @@
 
 import torch
 
-from cosim.loop.graph_source import overruled
+from cosim.loop.graph_source import graph_from_source
 from cosim.spec.scenario import Enforced, GroundTruth, Inferred, Merge
 from gri.core.graph import LANE_CHANGING, EdgeType, InteractionGraph
 
@@ -11,21 +11,21 @@ INFERRED = InteractionGraph(torch.randn(2, 6, 4, generator=torch.Generator().man
 
 
 def test_the_inferred_graph_stays_as_it_is():
-    assert overruled(INFERRED, Inferred(), RULE) is INFERRED
+    assert graph_from_source(INFERRED, Inferred(), RULE) is INFERRED
 
 
 def test_ground_truth_is_what_the_rule_implies():
     true = {(2, 0): EdgeType.FOLLOW, (1, 0): EdgeType.CUT_IN, (0, 1): EdgeType.YIELD}
     for scene in (0, 1):
-        edges = overruled(INFERRED, GroundTruth(), RULE).edges(scene)
+        edges = graph_from_source(INFERRED, GroundTruth(), RULE).edges(scene)
         assert {pair: kind for pair, (kind, _) in edges.items()} == true
         assert all(p > 0.999 for _, p in edges.values())
 
 
 def test_enforced_edges_leave_the_others_alone_or_empty():
-    graph = overruled(INFERRED, Enforced(edges={"0->1": "none", "2->1": "follow"}), RULE)
+    graph = graph_from_source(INFERRED, Enforced(edges={"0->1": "none", "2->1": "follow"}), RULE)
     assert (0, 1) not in graph.edges()
     assert graph.edges()[2, 1][0] is EdgeType.FOLLOW
     torch.testing.assert_close(graph.logits[:, [1, 2, 3, 4]], INFERRED.logits[:, [1, 2, 3, 4]])
-    alone = overruled(INFERRED, Enforced(edges={"2->1": "follow"}, others="none"), RULE)
+    alone = graph_from_source(INFERRED, Enforced(edges={"2->1": "follow"}, others="none"), RULE)
     assert set(alone.edges(1)) == {(2, 1)}

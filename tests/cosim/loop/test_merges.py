@@ -44,9 +44,9 @@ def test_groups_are_driven_until_they_merged(outcome):
     for episode in outcome.episodes:
         if episode.ending is Ending.MERGED:
             assert episode.success
-            at_the_end = episode.feature("d")[np.flatnonzero(episode.under_way)[-1]]
+            at_the_end = episode.feature("d")[np.flatnonzero(episode.during_drive)[-1]]
             assert abs(at_the_end[0] - at_the_end[2]) < 1.0
-            k = np.flatnonzero(episode.under_way)[-1]
+            k = np.flatnonzero(episode.during_drive)[-1]
             s, d, v = (episode.feature(name)[k : k + 2, 0] for name in ("s", "d", "v"))
             assert d[1] == pytest.approx(d[0], abs=1e-6)  # the hand-back moves it neither sideways
             assert s[1] - s[0] == pytest.approx(0.2 * v.mean(), abs=0.2 * 0.9)  # nor along the road

@@ -34,7 +34,7 @@ def under(scenario, **perturbations: float):
 
 def at_start(episode):
     """Index of the take-over."""
-    return int(np.flatnonzero(episode.under_way)[0])
+    return int(np.flatnonzero(episode.during_drive)[0])
 
 
 def test_neutral_perturbations_change_nothing(scenario, simulate):
@@ -125,7 +125,7 @@ def test_a_removed_vehicle_is_gone_and_its_phantom_drives_on(scenario, simulate)
         assert s[k + 1] == pytest.approx(s[k] + 500 + 0.2 * v[k])
         assert (v[k + 1 :] == v[k]).all()
         assert episode.ending is Ending.HORIZON
-    gains = [np.ptp(episode.feature("v")[episode.under_way][[0, -1], 1]) for episode in outcome.episodes]
+    gains = [np.ptp(episode.feature("v")[episode.during_drive][[0, -1], 1]) for episode in outcome.episodes]
     assert max(gains) > 0.5  # vehicle 1 has nobody to follow now
 
 

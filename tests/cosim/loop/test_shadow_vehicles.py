@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cosim.loop.shadow_vehicles import Booking, booking, is_free
+from cosim.loop.shadow_vehicles import ShadowPlacement, booking, is_free
 from cosim.world.groups import MergeLanes
 from cosim.world.snapshot import Snapshot, Strip
 
@@ -14,10 +14,10 @@ LANES = MergeLanes(Strip("weave_0", 100.0, 300.0, -8.0, 4.0), Strip("weave_1", 1
 @pytest.mark.parametrize(
     ("d", "expected"),
     [
-        (-8.0, Booking("", "weave_1", -4.2)),  # still in its lane: the twin is the indicator
-        (-6.5, Booking("weave_0", "weave_1", -6.5)),  # its left side is across the line at d = -6
-        (-5.5, Booking("weave_1", "weave_0", -5.5)),  # its centre is across
-        (-5.1, Booking()),  # 0.9 m beyond the line: inside
+        (-8.0, ShadowPlacement("", "weave_1", -4.2)),  # still in its lane: the twin is the indicator
+        (-6.5, ShadowPlacement("weave_0", "weave_1", -6.5)),  # its left side is across the line at d = -6
+        (-5.5, ShadowPlacement("weave_1", "weave_0", -5.5)),  # its centre is across
+        (-5.1, ShadowPlacement()),  # 0.9 m beyond the line: inside
     ],
 )
 def test_booking_follows_the_body(d, expected):
@@ -27,7 +27,7 @@ def test_booking_follows_the_body(d, expected):
 
 @pytest.mark.parametrize("s", [99.0, 301.0])
 def test_no_twin_where_the_lanes_are_not_side_by_side(s):
-    assert booking(s, -6.0, 1.8, LANES) == Booking()
+    assert booking(s, -6.0, 1.8, LANES) == ShadowPlacement()
 
 
 def traffic(*s: float) -> Snapshot:

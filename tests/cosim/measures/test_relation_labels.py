@@ -12,9 +12,9 @@ from cosim.measures.relation_labels import (
     NOBODY,
     NONE,
     YIELD,
+    DriverRecords,
     PairLabels,
     Reduction,
-    Told,
     by_intervention,
     by_rule,
     pair_labels,
@@ -26,10 +26,10 @@ T = 20
 VEHICLES = np.array([[10, 11, 12]])
 
 
-def nothing() -> Told:
+def nothing() -> DriverRecords:
     """10 m/s, everybody free to reach 10.4 m/s and doing so."""
     values, nobody = np.full((1, 3, T), 10.0), np.full((1, 3, T), NOBODY)
-    return Told(
+    return DriverRecords(
         vehicle=VEHICLES,
         v=values,
         v_next=values + 0.4,
@@ -53,15 +53,15 @@ def at(values: np.ndarray, vehicle: int, steps: slice | int, value: float) -> np
     return changed
 
 
-def rule(told: Told) -> dict[tuple[int, int], np.ndarray]:
+def rule(told: DriverRecords) -> dict[tuple[int, int], np.ndarray]:
     return dict(zip(pairs(3), pair_labels(by_rule(told), VEHICLES).types[0], strict=True))
 
 
-def gold(told: Told, unled: np.ndarray, unasked: np.ndarray) -> dict[tuple[int, int], np.ndarray]:
+def gold(told: DriverRecords, unled: np.ndarray, unasked: np.ndarray) -> dict[tuple[int, int], np.ndarray]:
     return dict(zip(pairs(3), pair_labels(by_intervention(told, unled, unasked), VEHICLES).types[0], strict=True))
 
 
-def bound(told: Told, vehicle: int, leader: int, steps: slice = slice(None)) -> Told:
+def bound(told: DriverRecords, vehicle: int, leader: int, steps: slice = slice(None)) -> DriverRecords:
     """The vehicle's model allows 10 m/s behind the leader, and it drives so."""
     return replace(
         told,

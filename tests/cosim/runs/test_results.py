@@ -85,7 +85,7 @@ def test_labels_stand_in_front_and_none_is_missing(tables):
 
 def test_groups_say_who_how_and_what_was_believed(tables):
     driven, left = tables["groups"].iloc[0], tables["groups"].iloc[1]
-    assert driven["driven_for"] == pytest.approx(2.0)
+    assert driven["drive_duration"] == pytest.approx(2.0)
     assert (driven["vehicle_0"], driven["vehicle_2"]) == ("a", "c")
     assert (driven["length_0"], driven["width_2"]) == (5.0, episode().width[2])
     assert driven["graph_as_expected"]

@@ -6,10 +6,10 @@ import msgspec
 import numpy as np
 
 from cosim.measures.relation_labels import NOBODY
-from cosim.scenes.candidates import Window, chains, merge_of, rows_through
+from cosim.scenes.candidates import Window, chains, merge_of, rows_throughout
 from cosim.scenes.lane_change_requests import Change
 from cosim.scenes.rules import Rules
-from cosim.scenes.trajectory_buffer import COLUMN, COLUMNS, Lane, Moment, Numbers
+from cosim.scenes.trajectory_buffer import COLUMN, COLUMNS, BufferedStep, Lane, Numbers
 from cosim.world.snapshot import LaneChange
 
 LANES = [Lane("road", np.array([[0.0, y], [100.0, y]]), 100.0, y) for y in (-3.5, 0.0)]
@@ -17,7 +17,7 @@ RULES = Rules()
 STRATEGIC = int(LaneChange.STRATEGIC | LaneChange.LEFT)
 
 
-def moment(index: int, lane: dict[int, int], leader: dict[int, int], v: float = 10.0) -> Moment:
+def moment(index: int, lane: dict[int, int], leader: dict[int, int], v: float = 10.0) -> BufferedStep:
     """Vehicles by number with their lane and leader."""
     values = np.zeros((len(lane), len(COLUMNS)))
     values[:, COLUMN["lane"]] = list(lane.values())
@@ -25,7 +25,7 @@ def moment(index: int, lane: dict[int, int], leader: dict[int, int], v: float = 
     values[:, COLUMN["v"]] = v
     ids = [f"a.{number}" for number in lane]
     leaders = [f"a.{leader[number]}" if number in leader else "" for number in lane]
-    return Moment(index, 0.2 * index, ids, leaders, {number: row for row, number in enumerate(lane)}, values, [])
+    return BufferedStep(index, 0.2 * index, ids, leaders, {number: row for row, number in enumerate(lane)}, values, [])
 
 
 def test_numbers_say_flow_and_vehicle():
@@ -51,19 +51,19 @@ def test_a_leader_in_another_lane_makes_no_chain():
 
 def test_who_is_not_seen_all_through_has_no_rows():
     both = [moment(0, {5: 0, 6: 0}, {}), moment(1, {6: 0, 5: 0}, {})]
-    rows = rows_through(both, [6, 5])
+    rows = rows_throughout(both, [6, 5])
     assert rows is not None
     assert rows.tolist() == [[1, 0], [0, 1]]
-    assert rows_through([*both, moment(2, {5: 0}, {})], [6, 5]) is None
+    assert rows_throughout([*both, moment(2, {5: 0}, {})], [6, 5]) is None
 
 
-def merge(moments: list[Moment], rules: Rules = RULES, behind: str = "a.1", state: int = STRATEGIC):
+def merge(moments: list[BufferedStep], rules: Rules = RULES, behind: str = "a.1", state: int = STRATEGIC):
     counts: Counter[str] = Counter()
     change = Change("a.0", 0, 1, state, behind)
     return merge_of(change, moments, Numbers(["a"]), rules, counts), counts
 
 
-def before(steps: int, **options: float) -> list[Moment]:
+def before(steps: int, **options: float) -> list[BufferedStep]:
     there = [moment(k, {0: 0, 1: 1, 2: 1}, {1: 2}, **options) for k in range(steps)]
     return [*there, moment(steps, {0: 1, 1: 1, 2: 1}, {0: 2, 1: 0}, **options)]
 

@@ -2,7 +2,7 @@
 
 import math
 
-from cosim.scenes.lane_change_requests import now_behind, wishes
+from cosim.scenes.lane_change_requests import find_requests, new_follower
 from cosim.sumo import Drivers
 from cosim.world.snapshot import Driving, LaneChange
 
@@ -10,7 +10,7 @@ WISH = int(LaneChange.LEFT | LaneChange.STRATEGIC | LaneChange.URGENT)
 FOLLOWER, LEADER = int(LaneChange.BLOCKED_BY_LEFT_FOLLOWER), int(LaneChange.BLOCKED_BY_LEFT_LEADER)
 
 
-class Told(Drivers):
+class DriverRecords(Drivers):
     """Knows the neighbours it is told of, (vehicle, ahead) -> (other, distance), and wishes to the left."""
 
     def __init__(self, neighbours: dict[tuple[str, bool], tuple[str, float]], **left: int) -> None:
@@ -36,46 +36,46 @@ def driving(v: dict[str, float] | None = None, leader: dict[str, str] | None = N
     )
 
 
-def asked(drivers: Told, traffic: Driving | None = None) -> dict[int, str]:
-    return wishes(drivers, traffic or driving(), [0, 1]).askers
+def asked(drivers: DriverRecords, traffic: Driving | None = None) -> dict[int, str]:
+    return find_requests(drivers, traffic or driving(), [0, 1]).askers
 
 
 def test_who_urgently_wants_in_asks_who_blocks_it_from_behind():
     near = {("m", False): ("f", 5.0)}
-    assert asked(Told(near, m=WISH | FOLLOWER)) == {2: "m"}
-    assert asked(Told(near, m=WISH)) == {}
-    assert asked(Told(near, m=(WISH | FOLLOWER) & ~int(LaneChange.URGENT))) == {}
-    assert asked(Told(near, m=FOLLOWER)) == {}
-    assert wishes(Told(near, m=WISH | FOLLOWER), driving(), [1]).askers == {}
+    assert asked(DriverRecords(near, m=WISH | FOLLOWER)) == {2: "m"}
+    assert asked(DriverRecords(near, m=WISH)) == {}
+    assert asked(DriverRecords(near, m=(WISH | FOLLOWER) & ~int(LaneChange.URGENT))) == {}
+    assert asked(DriverRecords(near, m=FOLLOWER)) == {}
+    assert find_requests(DriverRecords(near, m=WISH | FOLLOWER), driving(), [1]).askers == {}
 
 
 def test_a_slower_one_ahead_is_asked_to_be_overtaken():
-    drivers = Told({("m", True): ("l", 5.0)}, m=WISH | LEADER)
+    drivers = DriverRecords({("m", True): ("l", 5.0)}, m=WISH | LEADER)
     assert asked(drivers, driving({"l": 8.0})) == {3: "m"}
     assert asked(drivers, driving({"l": 12.0})) == {}
 
 
 def test_who_is_asked_may_ask_too():
-    drivers = Told({("m", False): ("n", 5.0), ("n", False): ("l", 3.0)}, m=WISH | FOLLOWER, n=WISH | FOLLOWER)
-    assert wishes(drivers, driving(), [0]).askers == {1: "m", 3: "n"}
-    assert wishes(drivers, driving(), []).askers == {}
+    drivers = DriverRecords({("m", False): ("n", 5.0), ("n", False): ("l", 3.0)}, m=WISH | FOLLOWER, n=WISH | FOLLOWER)
+    assert find_requests(drivers, driving(), [0]).askers == {1: "m", 3: "n"}
+    assert find_requests(drivers, driving(), []).askers == {}
 
 
 def test_who_urgently_wants_in_has_a_target_ahead_blocked_or_not():
     near = {("m", True): ("l", 5.0), ("m", False): ("f", 4.0)}
     for state in (WISH, WISH | FOLLOWER, WISH | LEADER):
-        assert wishes(Told(near, m=state), driving({"l": 12.0}), [0, 1]).targets == {0: ("l", 5.0)}
-    assert wishes(Told(near, m=WISH & ~int(LaneChange.URGENT)), driving(), [0, 1]).targets == {}
-    assert wishes(Told({}, m=WISH), driving(), [0, 1]).targets == {}
+        assert find_requests(DriverRecords(near, m=state), driving({"l": 12.0}), [0, 1]).targets == {0: ("l", 5.0)}
+    assert find_requests(DriverRecords(near, m=WISH & ~int(LaneChange.URGENT)), driving(), [0, 1]).targets == {}
+    assert find_requests(DriverRecords({}, m=WISH), driving(), [0, 1]).targets == {}
 
 
 def test_of_two_who_ask_the_nearer_counts():
     near = {("m", False): ("f", 5.0), ("n", False): ("f", 3.0)}
-    assert asked(Told(near, m=WISH | FOLLOWER, n=WISH | FOLLOWER)) == {2: "n"}
+    assert asked(DriverRecords(near, m=WISH | FOLLOWER, n=WISH | FOLLOWER)) == {2: "n"}
 
 
 def test_who_drives_behind_in_the_same_lane():
     traffic = driving(leader={"f": "l", "m": "l"})
-    assert now_behind(traffic, "l", [-3.5, 0.0]) == 2
-    assert now_behind(traffic, "f", [-3.5, 0.0]) is None
-    assert now_behind(traffic, "gone", [-3.5, 0.0]) is None
+    assert new_follower(traffic, "l", [-3.5, 0.0]) == 2
+    assert new_follower(traffic, "f", [-3.5, 0.0]) is None
+    assert new_follower(traffic, "gone", [-3.5, 0.0]) is None

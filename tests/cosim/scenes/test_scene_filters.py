@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from cosim.measures.relation_labels import CUT_IN, FOLLOW, NOBODY, NONE, YIELD, PairLabels, Told
+from cosim.measures.relation_labels import CUT_IN, FOLLOW, NOBODY, NONE, YIELD, DriverRecords, PairLabels
 from cosim.scenes.rules import Rules
-from cosim.scenes.scene_filters import Sieve
-from cosim.scenes.trajectory_buffer import Stretch
+from cosim.scenes.scene_filters import SceneFilter
+from cosim.scenes.trajectory_buffer import RoadSection
 from gri.core.graph import pairs
 
 T = 30
@@ -16,12 +16,12 @@ def broken(types: np.ndarray, d: np.ndarray, gap: float = 20.0) -> list[str]:
     """Names of the rules that a row of three breaks."""
     shape = (1, 3, T)
     v, nobody, never = np.full(shape, 10.0), np.full(shape, NOBODY), np.full(shape, np.inf)
-    told = Told(
+    told = DriverRecords(
         vehicle=np.array([[0, 1, 2]]), v=v, v_next=v, free=v, behind=never, beside=never, noise=v * 0, leader=nobody,
         asker=nobody, target=nobody, gave_way=v < 0, cut=nobody, room=never, dt=0.2,
     )  # fmt: skip
     s = np.arange(3.0)[None, :, None] * gap + 2.0 * np.arange(T + 1)
-    sieve = Sieve(Rules(), Stretch.__new__(Stretch), 0.2, 1, 5, False)
+    sieve = SceneFilter(Rules(), RoadSection.__new__(RoadSection), 0.2, 1, 5, False)
     found = sieve._broken("car_following", told, s, d, PairLabels(types, np.zeros(types.shape)))
     return [name for name, scenes in found if scenes[0]]
 

@@ -22,11 +22,11 @@ def tables() -> dict[str, pd.DataFrame]:
         {
             "episode": 0, "driver": "gri", "time": np.repeat(time, 3), "role": np.tile(np.arange(3), rows),
             "present": True, "driven": (driven[:, None] & [True, True, False]).ravel(),
-            "under_way": np.repeat((time >= 1.0) & (time <= 4.0), 3), "gap": gap.ravel(), "ttc": np.inf,
+            "during_drive": np.repeat((time >= 1.0) & (time <= 4.0), 3), "gap": gap.ravel(), "ttc": np.inf,
             **{name: values.ravel() for name, values in wide.items()},
         }
     )  # fmt: skip
-    group = {"episode": 0, "driver": "gri", "taken_at": 1.0, "driven_for": 3.0, "ending": "horizon"}
+    group = {"episode": 0, "driver": "gri", "takeover_time": 1.0, "drive_duration": 3.0, "ending": "horizon"}
     for role in range(3):
         group |= {f"vehicle_{role}": f"</script>{role}", f"length_{role}": 5.0, f"width_{role}": 1.8}
     graphs = pd.DataFrame(

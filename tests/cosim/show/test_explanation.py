@@ -39,7 +39,7 @@ def test_the_terms_add_up_to_the_reward(episode, scenario, reward):
 def test_states_are_the_models_own(episode, scenario):
     """Headways are net gap plus 5 m, and the jerks lead from each state to the next acceleration."""
     state, action = _model(episode, scenario)
-    rows = np.flatnonzero(episode.under_way)
+    rows = np.flatnonzero(episode.during_drive)
     np.testing.assert_allclose(state[1, :, 0] - state[0, :, 0], episode.gap[rows[:-1], 0] + 5.0, atol=1e-4)
     jerk = np.diff(episode.feature("a")[rows, 0]) / 0.2
     torch.testing.assert_close(action[0, :, 0], torch.from_numpy(jerk).float(), atol=1e-3, rtol=0)
@@ -70,7 +70,7 @@ def test_another_drive_is_told_in_other_words(tables, run):
     from cosim.show.episode_view import view
 
     first = explanation(view(tables, 0), run)
-    tables["steps"]["v"] += 2.0 * tables["steps"]["under_way"]
+    tables["steps"]["v"] += 2.0 * tables["steps"]["during_drive"]
     assert explanation(view(tables, 0), run) != first
 
 

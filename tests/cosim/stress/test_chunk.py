@@ -63,7 +63,7 @@ def test_undisturbed_episodes_alone_are_written_as_those_among_others(chunk, tmp
     """Their intensity is missing, which must not make it a column of another type."""
     alone = replace(chunk, cells=chunk.cells[:1], policies={"idm": Idm()})
     row = {"policy": "idm", "perturbation": NOMINAL, "intensity": None}
-    monkeypatch.setattr(chunk, "rows_of", lambda *_: [row])
+    monkeypatch.setattr(chunk_module, "rows_of", lambda *_: [row])
     stress_chunk(alone, {alone.key: tmp_path / "part.parquet"}, {}, quiet)
     assert pd.read_parquet(tmp_path / "part.parquet")["intensity"].dtype == float
 

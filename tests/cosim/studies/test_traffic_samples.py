@@ -95,7 +95,7 @@ def test_a_run_gives_the_driven_vehicles_once_a_second(tmp_path):
         for t in times
         for role in range(3)
     ]
-    names = ["driver", "time", "role", "vehicle", "present", "under_way", "v", "a", "gap"]
+    names = ["driver", "time", "role", "vehicle", "present", "during_drive", "v", "a", "gap"]
     pd.DataFrame(rows, columns=names).to_parquet(tmp_path / "steps.parquet")
     for other in set(TABLES) - {"steps"}:
         pd.DataFrame({"x": []}).to_parquet(tmp_path / f"{other}.parquet")

@@ -166,13 +166,13 @@ def straddle(world, twin: bool) -> tuple[float, list[tuple[str, str]], set[str]]
         across = min(d + 0.1 * k, line - 0.05)  # its centre stays in lane 1
         world.command("a", s, across, 0.0, speed, lane="entry_1")
         if twin and across > line - 0.9:
-            world.place_twin("a", s, across, 0.0, speed, "entry_2")
+            world.place_shadow("a", s, across, 0.0, speed, "entry_2")
         report = world.step()
         collisions += report.collisions
         seen |= {*world.snapshot(ROAD).ids, *report.arrived, *report.teleported}
     behind = s - state_of(world, "b")[0]
     if twin:
-        world.remove_twin("a")
+        world.remove_shadow("a")
         world.step()
         assert not [v for v in libsumo.vehicle.getIDList() if v.startswith("twin")]
     world.release("a")
@@ -198,7 +198,7 @@ def test_placement_beside_a_twin_is_exact(road):
         world.take("a")
         for _ in range(5):
             s, d = s + 0.2 * 12.0, d + 0.3
-            world.place_twin("a", s, d, 0.1, 12.0, "entry_2")
+            world.place_shadow("a", s, d, 0.1, 12.0, "entry_2")
             world.command("a", s, d, 0.1, 12.0, lane="entry_1")
             world.step()
             assert state_of(world, "a")[:4] == pytest.approx((s, d, 0.1, 12.0), abs=1e-9)

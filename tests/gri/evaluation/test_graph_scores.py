@@ -6,7 +6,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gri.evaluation.graph_scores import best_naming, edge_budget, f1, into_driven, renamed, shuffled, unshuffled
+from gri.evaluation.graph_scores import best_naming, edge_budget, edges_into_driven, f1, renamed, shuffled, unshuffled
 from gri.evaluation.metrics import proportion
 from gri.training.optimisation import categorical_kl
 
@@ -22,7 +22,7 @@ def test_f1_by_hand():
 
 
 def test_edges_into_driven_vehicles_leave_out_those_into_the_leader():
-    assert into_driven(torch.arange(6)[None]).tolist() == [[0, 2, 4, 5]]  # 0->1, 1->0, 2->0, 2->1
+    assert edges_into_driven(torch.arange(6)[None]).tolist() == [[0, 2, 4, 5]]  # 0->1, 1->0, 2->0, 2->1
 
 
 def test_swapped_labels_are_renamed_only_where_label_0_may_move():

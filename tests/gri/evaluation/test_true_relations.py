@@ -10,14 +10,14 @@ from gri.commands.cli import app
 from gri.core.edges import EdgeType
 from gri.core.graph import FOLLOWING
 from gri.data.scene_file.schema import Header, SceneBlock, names_of, writing
-from gri.evaluation.true_relations import beside_truth, truth_tables
+from gri.evaluation.true_relations import compare_with_truth, truth_tables
 
 
 def test_accuracies_and_confusion_by_hand():
     true = torch.tensor([[0, 0, 1, 0, 0, 1], [0, 0, 1, 0, 0, 0]])
     inferred = torch.tensor([[0, 0, 1, 0, 0, 1], [0, 0, 1, 1, 0, 1]])
     hypothesis = torch.tensor([[0, 0, 1, 0, 0, 1]] * 2)
-    found = beside_truth(inferred, true, hypothesis, torch.tensor([True, False]))
+    found = compare_with_truth(inferred, true, hypothesis, torch.tensor([True, False]))
     means = {name: value.mean for name, value in found.accuracy.items()}
     assert means["inferred, truth"] == pytest.approx(5 / 6)
     assert means["inferred, hypothesis"] == pytest.approx(11 / 12)
@@ -31,7 +31,7 @@ def test_accuracies_and_confusion_by_hand():
 
 def test_without_unambiguous_scenes_only_all_are_compared():
     types = torch.zeros(2, 6, dtype=torch.int64)
-    assert len(beside_truth(types, types, types, torch.tensor([False, False])).accuracy) == 4
+    assert len(compare_with_truth(types, types, types, torch.tensor([False, False])).accuracy) == 4
 
 
 def test_a_released_model_is_scored_on_scenes_of_sumo(tmp_path: Path, capsys, monkeypatch):

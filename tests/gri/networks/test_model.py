@@ -51,11 +51,11 @@ def test_without_an_encoder_it_believes_in_the_chain(generator: torch.Generator)
 
 def test_the_graph_in_the_policy_state_is_the_one_it_drives_by(model: RelationalModel, generator: torch.Generator):
     seen = history(generator)
-    believed = model.begin(seen)
+    driving_graph = model.begin(seen)
     none = InteractionGraph.of_edges({}, FOLLOWING, batch=2)
     follows = InteractionGraph.of_edges({(2, 0): EdgeType.FOLLOW}, FOLLOWING, batch=2)
-    free, _ = model.act(replace(believed, graph=none), seen.final)
-    bound, _ = model.act(replace(believed, graph=follows), seen.final)
+    free, _ = model.act(replace(driving_graph, graph=none), seen.final)
+    bound, _ = model.act(replace(driving_graph, graph=follows), seen.final)
     assert (free - bound)[:, 0].abs().max() > 1e-5
     torch.testing.assert_close(free[:, 1:], bound[:, 1:])
 

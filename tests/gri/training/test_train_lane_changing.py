@@ -12,7 +12,7 @@ from gri.core.graph import LANE_CHANGING
 from gri.core.layers import edge_ends
 from gri.data.store import DataConfig, Splits, scenes_of
 from gri.data.synthetic.expert import model_config
-from gri.evaluation.evaluate import evaluate, papers_graph
+from gri.evaluation.evaluate import evaluate, graph_of_paper
 from gri.networks.decoder import DecoderConfig
 from gri.networks.encoder import EncoderConfig
 from gri.networks.model import RelationalModel
@@ -100,7 +100,7 @@ def test_a_model_knows_its_lane_but_not_where_on_the_road_it_is(splits: Splits):
 
 
 def test_the_papers_graph_has_three_relations():
-    assert papers_graph(LANE_CHANGING).tolist() == [2, 0, 3, 0, 1, 0]
+    assert graph_of_paper(LANE_CHANGING).tolist() == [2, 0, 3, 0, 1, 0]
 
 
 def test_half_of_the_random_edges_are_none_and_the_rest_of_any_type(generator: torch.Generator):

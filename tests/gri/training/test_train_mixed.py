@@ -11,7 +11,7 @@ from gri.core.scenes import Scenes
 from gri.data.export import write_synthetic
 from gri.data.store import Splits, scenes_of, scenes_path, write_scenes
 from gri.networks.model import MERGE
-from gri.training.grounded.labelled_encoder import ToldSettings
+from gri.training.grounded.labelled_encoder import LabelledEncoderSettings
 from gri.training.train import read_train_config, train
 
 
@@ -33,7 +33,7 @@ SHIPPED = resources.shipped("scenarios", "train", "mixed_merge.yaml")
 
 def test_its_encoder_is_trained_for_the_released_policy(tmp_path: Path):
     shipped = read_train_config(SHIPPED)
-    assert isinstance(shipped.objective, ToldSettings)
+    assert isinstance(shipped.objective, LabelledEncoderSettings)
     assert shipped.objective.start == "us101_merge"
     file, made = tmp_path / "sumo.parquet", merges(8)
     data = msgspec.structs.replace(shipped.data, train=4, validation=2, test=2, files=(str(file),) * 2)

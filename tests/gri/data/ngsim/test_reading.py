@@ -8,7 +8,7 @@ import pytest
 
 from gri.data.ngsim import reading
 from gri.data.ngsim.reading import chunks
-from gri.data.ngsim.recordings import Recording, recordings, shelve
+from gri.data.ngsim.recordings import Recording, recordings, store_recordings
 from gri.errors import InputError
 from tests.gri.data.ngsim.conftest import CLOCK, as_portal, as_text, platoon
 
@@ -64,9 +64,9 @@ def test_rows_that_are_no_numbers_are_counted(tmp_path: Path):
     table = platoon().astype(object)
     table.loc[5, "Local_Y"] = "n/a?"
     table.to_csv(path, index=False)
-    shelf = shelve(path, tmp_path)
-    assert dict(shelf.unreadable) == {"us-101": 1}
-    assert sum(len(recording.rows) for recording in shelf) == 239
+    store = store_recordings(path, tmp_path)
+    assert dict(store.unreadable) == {"us-101": 1}
+    assert sum(len(recording.rows) for recording in store) == 239
 
 
 def test_truncated_gzip_is_one_clear_error(tmp_path: Path):

@@ -15,7 +15,7 @@ from gri.networks.decoder import DecoderConfig
 from gri.networks.encoder import EncoderConfig
 from gri.networks.model import RelationalModel
 from gri.rewards.structured import StructuredReward
-from gri.training.grounded.labelled_encoder import ToldSettings, train_told
+from gri.training.grounded.labelled_encoder import LabelledEncoderSettings, train_labelled_encoder
 from gri.training.grounded.settings import GroundedSettings
 
 
@@ -46,7 +46,7 @@ def test_the_encoder_learns_what_it_is_told():
         reward_updates=2, reward_batch=4, reward_scenes=6, updates=3, batch=8, return_batch=4, encoder_rate=2e-2,
         encoder_lead=150, likelihood="stepwise",
     )  # fmt: skip
-    train_told(model, reward, data, ToldSettings(grounded=grounded), seed=0)
+    train_labelled_encoder(model, reward, data, LabelledEncoderSettings(grounded=grounded), seed=0)
     assert torch.equal(model.infer(data.seen).map, data.graph)
     assert any(not torch.equal(old, new) for old, new in zip(before, reward.psi.values(), strict=True))
 
@@ -58,7 +58,7 @@ def test_a_trained_policy_and_its_reward_stay_without_updates(tmp_path: Path):
     checkpoint.save(path, trained, its_reward)
     (model, reward), data = driver(), scenes()
     untold = GroundedSettings(updates=0, batch=8, encoder_rate=2e-2, encoder_lead=150)
-    train_told(model, reward, data, ToldSettings(grounded=untold, start=str(path)), seed=0)
+    train_labelled_encoder(model, reward, data, LabelledEncoderSettings(grounded=untold, start=str(path)), seed=0)
     assert torch.equal(model.infer(data.seen).map, data.graph)
     assert torch.equal(reward.psi["follow"], its_reward.psi["follow"])
     policies = model.decoder.state_dict(), trained.decoder.state_dict()
@@ -67,10 +67,10 @@ def test_a_trained_policy_and_its_reward_stay_without_updates(tmp_path: Path):
 
 def test_a_start_of_another_size_or_without_a_reward_is_refused(tmp_path: Path):
     (model, reward), path = driver(), tmp_path / "driver.pt"
-    settings = ToldSettings(grounded=GroundedSettings(), start=str(path))
+    settings = LabelledEncoderSettings(grounded=GroundedSettings(), start=str(path))
     checkpoint.save(path, driver(hidden=4)[0], reward)
     with pytest.raises(InputError, match="its decoder is"):
-        train_told(model, reward, scenes(), settings, seed=0)
+        train_labelled_encoder(model, reward, scenes(), settings, seed=0)
     checkpoint.save(path, driver()[0])
     with pytest.raises(InputError, match="trained without a reward"):
-        train_told(model, reward, scenes(), settings, seed=0)
+        train_labelled_encoder(model, reward, scenes(), settings, seed=0)

@@ -75,9 +75,9 @@ def test_scenes_are_reproduced_under_the_graph_that_their_actions_show(
     )
     train_grounded(model, StructuredReward(PAPER.reward), scenes, settings, 0)
     for start, graph in used[::2]:  # the others are those of the return
-        for one, believed in zip(start, graph, strict=True):
+        for one, driving_graph in zip(start, graph, strict=True):
             (scene,) = (k for k in range(2) if torch.equal(one, scenes.start[k]))
-            assert torch.equal(believed, told[scene])
+            assert torch.equal(driving_graph, told[scene])
 
 
 def test_the_encoder_may_be_done_before_the_policy(scenes: Scenes):
