@@ -41,9 +41,9 @@ def test_dense_graph_puts_edges_at_sender_and_receiver():
 
 
 @pytest.mark.parametrize(("kind", "silent"), FORMS)
-def test_renumbering_the_vehicles_renumbers_the_actions(kind: str, no_progress: bool, generator: torch.Generator):
+def test_renumbering_the_vehicles_renumbers_the_actions(kind: str, silent: bool, generator: torch.Generator):
     policy, state, graph, order = (
-        decoder(kind, no_progress),
+        decoder(kind, silent),
         random_state(generator),
         random_graph(generator),
         [1, 2, 0],
@@ -54,8 +54,8 @@ def test_renumbering_the_vehicles_renumbers_the_actions(kind: str, no_progress: 
 
 
 @pytest.mark.parametrize(("kind", "silent"), FORMS)
-def test_moving_the_scene_along_the_road_changes_nothing(kind: str, no_progress: bool, generator: torch.Generator):
-    policy, state, graph = decoder(kind, no_progress), random_state(generator), random_graph(generator)
+def test_moving_the_scene_along_the_road_changes_nothing(kind: str, silent: bool, generator: torch.Generator):
+    policy, state, graph = decoder(kind, silent), random_state(generator), random_graph(generator)
     moved = state + torch.tensor([200.0, 0.0, 0.0])
     torch.testing.assert_close(act(policy, moved, graph), act(policy, state, graph), atol=1e-4, rtol=1e-4)
 
@@ -80,10 +80,10 @@ def test_the_literal_form_sees_neighbours_over_edges_of_type_none(generator: tor
 
 
 @pytest.mark.parametrize("silent", [True, False])
-def test_fused_layers_equal_one_network_per_type(no_progress: bool, generator: torch.Generator):
+def test_fused_layers_equal_one_network_per_type(silent: bool, generator: torch.Generator):
     """Equations (policy1)-(policy3), written as loops over vehicles and types."""
     types = len(LANE_CHANGING)
-    policy = decoder(none_is_silent=no_progress, types=types)
+    policy = decoder(none_is_silent=silent, types=types)
     state, graph = random_state(generator), random_graph(generator, types=types)
     body = policy.body
     assert isinstance(body, FeedForward)
@@ -127,9 +127,9 @@ def test_selfish_drivers_are_not_blamed_for_others(generator: torch.Generator):
 
 @pytest.mark.parametrize("types", [2, 4])
 @pytest.mark.parametrize("silent", [True, False])
-def test_numpy_drives_as_torch_does(no_progress: bool, types: int, generator: torch.Generator):
+def test_numpy_drives_as_torch_does(silent: bool, types: int, generator: torch.Generator):
     """In float32, up to its rounding; also where a hidden layer is far from zero."""
-    policy, state = decoder("feed_forward", no_progress, types), 100 * random_state(generator)
+    policy, state = decoder("feed_forward", silent, types), 100 * random_state(generator)
     graph = dense(random_graph(generator, types=types))
     by_numpy = policy.bind_numpy(graph)
     assert by_numpy is not None
