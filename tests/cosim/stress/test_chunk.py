@@ -6,6 +6,7 @@ from msgspec.structs import replace
 
 from cosim.process.fork import CAN_FORK
 from cosim.spec.scenario import ConstantVelocity, Idm, LeftToSumo
+from cosim.stress import chunk as chunk_module
 from cosim.stress.chunk import rows_of, stress_chunk
 from cosim.stress.plan import NOMINAL, chunks
 
