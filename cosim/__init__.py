@@ -1,1 +1,35 @@
-"""Closed-loop co-simulation with SUMO."""
+"""Closed-loop co-simulation with SUMO: run driving policies on groups of vehicles in live traffic.
+
+Begin with `run`. Names are imported when they are first used, so that `import cosim` costs nothing.
+"""
+
+from importlib import import_module
+from importlib.metadata import version
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from cosim.runs.run import Run, open_run, run
+    from cosim.spec.loading import load_scenario
+    from cosim.spec.scenario import Scenario
+    from gri.errors import InputError
+
+__all__ = ["InputError", "Run", "Scenario", "load_scenario", "open_run", "run"]
+__version__ = version("gri-cosim")
+
+_HOMES = {
+    "cosim.runs.run": ("Run", "open_run", "run"),
+    "cosim.spec.loading": ("load_scenario",),
+    "cosim.spec.scenario": ("Scenario",),
+    "gri.errors": ("InputError",),
+}
+
+
+def __getattr__(name: str) -> Any:
+    for module, names in _HOMES.items():
+        if name in names:
+            return getattr(import_module(module), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return [*__all__, "__version__"]

@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from cosim.runs.results import TABLES
+from cosim.runs.run_tables import TABLES
 from gri.errors import InputError
 
 PARTIAL = ".partial"

@@ -25,7 +25,6 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-BASELINES = {"sumo": "sumo", "idm": "idm", "constant-velocity": "constant_velocity"}
 
 
 @app.command()
@@ -41,24 +40,17 @@ def run(
     out: Annotated[Path | None, typer.Option(help="Run folder to write; default: a new one in runs/.")] = None,
 ) -> None:
     """Take three-vehicle groups out of live traffic, drive them, hand them back."""
-    from cosim.spec.loading import load_scenario, override, replaying
-    from cosim.spec.scenario import tag_of
+    from cosim.runs.run import run as run_scenario
+    from cosim.runs.summary import terminal_table
 
-    changes = {"seed": seed, "episodes": episodes, "policy": baseline and {"kind": BASELINES[baseline]}}
-    chosen = override(load_scenario(scenario), {k: v for k, v in changes.items() if v is not None})
-    if recording is not None:
-        chosen = replaying(chosen, recording)
-    from cosim.process.worker_process import run_in_worker
-    from cosim.runs.results import next_folder, run_folder  # brings pandas, which bad input need not wait for
-
-    driver = tag_of(chosen.policy)
-    folder = out or next_folder(Path("runs"), f"{Path(scenario).stem}-{driver}-seed{chosen.seed}")
     began = time.monotonic()
-    with run_folder(folder) as partial, Stages() as progress:
-        run_in_worker("cosim.runs.run_job:run_job", chosen, partial, log=partial / "sumo.log", tell=progress.tell)
-    _show(folder)
-    say(f"\n{time.monotonic() - began:.0f} s. Tables, manifest and picture: {folder}")
-    next_command(f"cosim report {folder}" if baseline else f"cosim run {scenario} --baseline idm")
+    with Stages() as progress:
+        done = run_scenario(
+            scenario, baseline, seed=seed, episodes=episodes, recording=recording, folder=out, progress=progress.tell
+        )
+    console.print(terminal_table(done.groups))
+    say(f"\n{time.monotonic() - began:.0f} s. Tables, manifest and picture: {done.folder}")
+    next_command(f"cosim report {done.folder}" if baseline else f"cosim run {scenario} --baseline idm")
 
 
 for _command in (traffic.traffic, traffic.calibrate, traffic.realism):
@@ -106,13 +98,6 @@ def schema(
         from cosim.spec.scenario import json_schema
 
     sys.stdout.write(msgspec.json.format(json.dumps(json_schema())) + "\n")
-
-
-def _show(folder: Path) -> None:
-    from cosim.runs.report import summary
-    from cosim.runs.results import read_tables
-
-    console.print(summary(read_tables(folder)["groups"]))
 
 
 def _fail(message: str, code: int) -> NoReturn:

@@ -21,14 +21,15 @@ def report(
     """Show a finished run as a table and a picture, or a batch as one HTML file."""
     if (folder / "runs").is_dir():
         return _batch_report(folder, out or folder / "report.html")
-    from cosim.runs.report import picture, summary
-    from cosim.runs.results import read_tables
+    from cosim.runs.episode_figure import picture
+    from cosim.runs.run_tables import read_tables
+    from cosim.runs.summary import terminal_table
 
     tables = read_tables(folder)
     known = int(tables["groups"]["episode"].max())
     if episode is not None and not 0 <= episode <= known:
         raise InputError(f"--episode: got {episode}, {folder} has the episodes 0 to {known}")
-    console.print(summary(tables["groups"]))
+    console.print(terminal_table(tables["groups"]))
     path = folder / ("episode.png" if episode is None else f"episode-{episode}.png")
     picture(tables, path, episode)
     say(f"\nPicture: {path}")
@@ -53,7 +54,7 @@ def render(
     out: Annotated[Path | None, typer.Option(help="The file to write; default: in the run folder.")] = None,
 ) -> None:
     """Draw one episode as a picture, a film or a page that plays it; no display is needed."""
-    from cosim.runs.results import read_tables
+    from cosim.runs.run_tables import read_tables
     from cosim.show.episode_view import view
 
     tables = read_tables(run)
@@ -61,7 +62,7 @@ def render(
     kind = kind or _format_of(out)
     path = out or run / f"episode-{episode}.{kind}"
     if kind == "png":
-        from cosim.runs.report import picture
+        from cosim.runs.episode_figure import picture
 
         picture(tables, path, episode)
     elif kind == "html":
@@ -90,7 +91,7 @@ def _format_of(out: Path | None) -> Format:
 
 def explain(run: Run, episode: EpisodeNumber = 0) -> None:
     """Say in words what the policy believed and did, from its own graph and its own reward."""
-    from cosim.runs.results import read_tables
+    from cosim.runs.run_tables import read_tables
     from cosim.show.episode_view import view
     from cosim.show.explanation import explanation
 
@@ -100,7 +101,7 @@ def explain(run: Run, episode: EpisodeNumber = 0) -> None:
 
 def gui(run: Run, episode: EpisodeNumber = 0) -> None:
     """Replay one episode in sumo-gui, where that is installed."""
-    from cosim.runs.results import read_tables
+    from cosim.runs.run_tables import read_tables
     from cosim.show.episode_view import view
     from cosim.show.sumo_gui import replay
 

@@ -111,7 +111,7 @@ def realism(
     out: Annotated[Path | None, typer.Option(help="Folder to write; default: a new one in runs/.")] = None,
 ) -> None:
     """Compare speeds, accelerations, headways and time gaps with a recording: distances, intervals, a picture."""
-    from cosim.runs.results import next_folder, run_folder
+    from cosim.runs.run_folder import next_folder, run_folder
 
     is_run = Path(subject, "steps.parquet").is_file()
     began = time.monotonic()

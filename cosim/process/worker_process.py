@@ -2,9 +2,9 @@
 
 import signal
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from importlib import import_module
-from multiprocessing import get_context
+from multiprocessing import get_all_start_methods, get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -21,16 +21,21 @@ class WorkerDeath(InputError):
     """The worker died before it told anything, which a broken net or route file makes SUMO do."""
 
 
-def run_in_worker(target: str, *arguments: Any, log: Path, tell: Callable[..., None]) -> Any:
-    """Call `target(*arguments, tell)` in a spawned process and return its result.
+def run_in_worker(
+    target: str, *arguments: Any, log: Path, tell: Callable[..., None], options: Mapping[str, Any] | None = None
+) -> Any:
+    """Call `target(*arguments, tell, **options)` in a spawned process and return its result.
+
+    With `options` the process is forked where the system can, so that they may hold objects that cannot be pickled,
+    such as a policy defined in a notebook.
 
     The target is named ("module:function"), so that this process need not import torch and SUMO. What the worker and
     SUMO print goes to `log`, what the target tells goes to `tell`. InputErrors come back as they are, everything else
     as a WorkerError, or as a WorkerDeath before anything was told. The worker ends with this call, however it ends.
     """
-    context = get_context("spawn")
+    context = get_context("fork") if options and "fork" in get_all_start_methods() else get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(target=_work, args=(target, arguments, sender, log), daemon=False)
+    process = context.Process(target=_work, args=(target, arguments, dict(options or {}), sender, log), daemon=False)
     process.start()
     sender.close()
     told = False
@@ -67,13 +72,14 @@ def _tail(log: Path) -> str:
     return "; ".join(lines[-3:]) or "(empty)"
 
 
-def _work(target: str, arguments: tuple[Any, ...], sender: Connection, log: Path) -> None:
+def _work(target: str, arguments: tuple[Any, ...], options: dict[str, Any], sender: Connection, log: Path) -> None:
     """The process: everything printed goes to the log, Ctrl-C is the parent's business."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     print_to(log)
     try:
         module, _, function = target.partition(":")
-        value = getattr(import_module(module), function)(*arguments, lambda *message: sender.send(("told", message)))
+        called = getattr(import_module(module), function)
+        value = called(*arguments, lambda *message: sender.send(("told", message)), **options)
         sender.send(("done", value))
     except InputError as error:
         sender.send(("input", str(error)))

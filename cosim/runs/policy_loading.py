@@ -1,40 +1,49 @@
-"""From the driver a scenario names to a policy that fits it."""
+"""From the policy that a scenario names to a policy object that fits the scenario."""
 
 from pathlib import Path
 
-from cosim.spec import scenario as spec
 from cosim.loop.driving import Driver
-from cosim.world.road_frame import NOMINAL_LENGTH
-from cosim.spec.input_files import checkpoint_path
 from cosim.runs.user_policy import own_policy
+from cosim.spec import scenario as spec
+from cosim.spec.input_files import checkpoint_path
+from cosim.world.road_frame import NOMINAL_LENGTH
 from gri import checkpoint
 from gri.core.dynamics import DUBINS, POINT_MASS_1D, DynamicsName
-from gri.errors import InputError
 from gri.core.graph import FOLLOWING, LANE_CHANGING, Vocabulary
 from gri.core.merging_policy import MergingDriver
-from gri.networks.model import RelationalModel
 from gri.core.policy import ConstantVelocity, IntelligentDriver, Policy
+from gri.errors import InputError
+from gri.networks.model import RelationalModel
 
 
-def driver_of(scenario: spec.Scenario) -> Driver | None:
-    """The policy that a scenario's driver names, under the graph the scenario says; None where SUMO drives."""
-    policy = policy_of(scenario)
+def driver_of(scenario: spec.Scenario, own: Policy | None = None) -> Driver | None:
+    """The policy of a scenario under the scenario's graph source; None where SUMO drives.
+
+    `own` is a policy object that takes the place of the policy that the scenario names.
+
+    Raises:
+        InputError: the policy does not fit the group rule, the step or the history.
+    """
+    if own is not None:
+        check_fit(own, scenario)
+    policy = own or policy_of(scenario)
     if policy is None:
         return None
     return Driver(_name(scenario.policy), policy, scenario.graph, scenario.steps(scenario.reinfer_s))
 
 
 def _name(policy: spec.Driver) -> str:
-    """The kind of policy; of a checkpoint, what it was trained for."""
+    """The kind of policy; for a checkpoint, the objective it was trained with."""
     if isinstance(policy, spec.Trained):
         return checkpoint.objective(checkpoint_path(policy.checkpoint))
     return spec.tag_of(policy)
 
 
 def policy_of(scenario: spec.Scenario) -> Policy | None:
-    """The policy that a scenario's driver names; None where the group is left to SUMO.
+    """The policy that a scenario names; None where the group is left to SUMO.
 
-    Raises InputError where a checkpoint does not fit the group rule, the step or the history.
+    Raises:
+        InputError: the policy does not fit the group rule, the step or the history.
     """
     in_lane = isinstance(scenario.group, spec.CarFollowing)
     match scenario.policy:
@@ -52,7 +61,7 @@ def policy_of(scenario: spec.Scenario) -> Policy | None:
             policy = model
         case spec.Own() as own:
             policy = own_policy(own, scenario.step)
-    _check_fit(policy, scenario)
+    check_fit(policy, scenario)
     return policy
 
 
@@ -72,7 +81,8 @@ def _check_vocabulary(model: RelationalModel, rule: spec.GroupRule, path: Path) 
         )
 
 
-def _check_fit(policy: Policy, scenario: spec.Scenario) -> None:
+def check_fit(policy: Policy, scenario: spec.Scenario) -> None:
+    """Raise an InputError where a policy's states, period or history do not fit the scenario."""
     layout = _wanted(scenario.group)[0]
     if policy.dynamics.name is not layout:
         raise InputError(

@@ -1,25 +1,27 @@
-"""One run from a scenario to a run folder; what `cosim run` does in its worker process."""
+"""One run from a scenario to a run folder. It runs in a worker process: see `cosim.runs.run`."""
 
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Mapping
+from inspect import getsourcefile
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import torch
 
-from cosim.runs import results
 from cosim.loop.closed_loop import Files, run
-from cosim.world.groups import expected_graph
-from cosim.spec.input_files import find_net, input_files, sha256
 from cosim.perturb.traffic_demand import perturbed_traffic
+from cosim.runs import run_tables
+from cosim.runs.episode_figure import picture
 from cosim.runs.policy_loading import driver_of
-from cosim.runs.report import picture
-from cosim.spec.scenario import Scenario, tag_of
-from cosim.sumo import SumoError
 from cosim.runs.traffic_survey import Survey, survey
+from cosim.spec.input_files import find_net, input_files, sha256
+from cosim.spec.scenario import LeftToSumo, Scenario, tag_of
+from cosim.sumo import SumoError
 from cosim.traffic.route_file import arguments
+from cosim.world.groups import expected_graph
+from gri.core.policy import Policy
 from gri.errors import InputError
 
 
@@ -41,13 +43,23 @@ def run_job(
     *,
     labels: Mapping[str, Any] | None = None,
     draw: bool = True,
+    policy: Policy | None = None,
 ) -> None:
-    """Run the scenario and write its tables, manifest and (with `draw`) a picture into an existing folder.
+    """Run a scenario and write its tables, its manifest and a picture into an existing folder.
 
-    Labels, which say what the run is among others, become the first columns of the groups table.
+    Args:
+        scenario: what to run.
+        folder: an existing, empty folder.
+        tell: called with (stage, done, total).
+        labels: constant columns to put in front of the groups table; a batch says with them which run this is.
+        draw: whether to draw a picture of one episode.
+        policy: a policy object that takes the place of the one that the scenario names.
+
+    Raises:
+        InputError: the scenario cannot be run as it is.
     """
     torch.set_num_threads(1)  # the models are tiny: more threads are slower
-    inputs, driver = input_files(scenario), driver_of(scenario)
+    inputs, driver = _inputs(scenario, policy), driver_of(scenario, policy)
     with tempfile.TemporaryDirectory() as scratch:
         files = Files(inputs["net"], Path(scratch, "routes.rou.xml"), folder / "sumo.log")
         try:
@@ -62,12 +74,12 @@ def run_job(
     episodes = [*outcome.episodes, *([] if driver is None else outcome.left_to_sumo)]
     expected = expected_graph(scenario.group)
     tables = {
-        "steps": results.steps_table(episodes),
-        "groups": results.labelled(results.groups_table(episodes, expected), labels or {}),
-        "events": results.events_table(episodes),
-        "graphs": results.graphs_table(episodes),
+        "steps": run_tables.steps_table(episodes),
+        "groups": run_tables.labelled(run_tables.groups_table(episodes, expected), labels or {}),
+        "events": run_tables.events_table(episodes),
+        "graphs": run_tables.graphs_table(episodes),
     }
-    results.write_tables(folder, tables)
+    run_tables.write_tables(folder, tables)
     (folder / "scenario.json").write_bytes(msgspec.json.format(msgspec.json.encode(scenario)) + b"\n")
     run_facts = {
         "driver": tag_of(scenario.policy),
@@ -80,7 +92,19 @@ def run_job(
         "trunk_teleports": outcome.teleports,
         "routes_sha256": routes,
     }
-    results.write_manifest(folder, results.manifest(run_facts, inputs, folder))
+    run_tables.write_manifest(folder, run_tables.manifest(run_facts, inputs, folder))
     if draw:
         tell("picture", 0, 1)
         picture(tables, folder / "episode.png")
+
+
+def _inputs(scenario: Scenario, policy: Policy | None) -> dict[str, Path]:
+    """The files that the run depends on; for a policy object, the file of its class where there is one."""
+    if policy is None:
+        return input_files(scenario)
+    files = input_files(msgspec.structs.replace(scenario, policy=LeftToSumo()))
+    try:
+        source = Path(getsourcefile(type(policy)) or "")
+    except (TypeError, OSError):  # a class that was typed into a notebook
+        return files
+    return {**files, "policy": source} if source.is_file() else files

@@ -7,8 +7,8 @@ import pandas as pd
 
 from cosim.loop.closed_loop import Files, Tell, prepared, simulation
 from cosim.spec.scenario import Scenario
-from cosim.world.snapshot import Snapshot
 from cosim.traffic.route_file import route_file
+from cosim.world.snapshot import Snapshot
 
 TELL_EVERY = 100  # steps
 

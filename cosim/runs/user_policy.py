@@ -11,12 +11,11 @@ from typing import Any
 from cosim.spec.input_files import source_path
 from cosim.spec.scenario import Own
 from gri.errors import InputError
-from gri.core.policy import Policy
 
 WANTED = ("dynamics", "dt", "history_steps", "begin", "act")  # of gri.core.policy.Policy
 
 
-def own_policy(choice: Own, dt: float) -> Policy:
+def own_policy(choice: Own, dt: float) -> Any:
     """Make the policy that acts every `dt` [s]; an InputError says what its file lacks or why it failed."""
     place, _, name = choice.object.rpartition(":")
     path = source_path(choice)
@@ -28,10 +27,16 @@ def own_policy(choice: Own, dt: float) -> Policy:
         policy = make(dt=dt, **choice.settings)
     except Exception as error:
         raise InputError(f"policy.object: {name}(dt={dt:g}, ...) failed: {type(error).__name__}: {error}") from error
-    missing = [attribute for attribute in WANTED if not hasattr(policy, attribute)]
-    if missing:
-        raise InputError(f"policy.object: {name} made something without {', '.join(missing)}; see gri.core.policy.Policy")
+    if missing := missing_attributes(policy):
+        raise InputError(
+            f"policy.object: {name} made something without {', '.join(missing)}; see gri.core.policy.Policy"
+        )
     return policy
+
+
+def missing_attributes(policy: object) -> list[str]:
+    """Attributes of `gri.core.policy.Policy` that an object lacks."""
+    return [attribute for attribute in WANTED if not hasattr(policy, attribute)]
 
 
 def _loaded(path: Path) -> ModuleType:

@@ -12,7 +12,7 @@ from cosim.batch.group_statistics import MEASURES, SUMO
 from cosim.batch.result_listing import groups_of, p_value
 from cosim.batch.store import Store
 from cosim.measures.statistics import Estimate, PairedTest
-from cosim.runs.results import read_tables
+from cosim.runs.run_tables import read_tables
 from cosim.show import graph_drawing, svg_charts
 from cosim.show.animation import script_of
 from cosim.show.episode_view import view

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.transforms import Affine2D
 
-from cosim.runs.report import ROLE_COLOURS
+from cosim.runs.episode_figure import ROLE_COLOURS
 from cosim.show.episode_view import View
 from gri.errors import InputError
 

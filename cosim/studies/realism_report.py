@@ -7,7 +7,7 @@ import pandas as pd
 from rich.markup import escape
 from rich.table import Table
 
-from cosim.runs.report import DRIVER_NAMES
+from cosim.runs.summary import DRIVER_NAMES
 from cosim.studies.distribution_plots import picture
 from cosim.studies.realism import Distance, distances, frame_of
 from gri.errors import InputError

@@ -8,7 +8,7 @@ import gri
 
 def test_every_public_name_is_there():
     assert all(getattr(gri, name) is not None for name in gri.__all__)
-    assert sorted(gri.__all__) == gri.__all__
+    assert dir(gri) == sorted([*gri.__all__, "__version__"])
 
 
 def test_reading_a_scenario_does_not_import_torch():

@@ -10,7 +10,7 @@ import pytest
 from cosim.loop.driving import Driver
 from cosim.loop.round_recorder import PLACEMENT_TOLERANCE
 from cosim.process.fork import CAN_FORK, BranchError, fork
-from cosim.runs.results import events_table, groups_table, steps_table
+from cosim.runs.run_tables import events_table, groups_table, steps_table
 from cosim.world.episode import COLUMNS, Ending, EventKind
 from cosim.world.groups import expected_graph
 from gri.core.policy import ConstantVelocity, IntelligentDriver

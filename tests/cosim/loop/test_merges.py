@@ -10,7 +10,7 @@ import torch
 from cosim.loop.closed_loop import Files, run
 from cosim.loop.driving import Driver
 from cosim.loop.round_recorder import PLACEMENT_TOLERANCE
-from cosim.runs.results import events_table, graphs_table, groups_table, steps_table
+from cosim.runs.run_tables import events_table, graphs_table, groups_table, steps_table
 from cosim.spec.loading import load_scenario
 from cosim.spec.scenario import Enforced
 from cosim.world.episode import COLUMNS, Ending, EventKind

@@ -9,7 +9,7 @@ from cosim.loop.perturbed_round import prepare
 from cosim.loop.round_recorder import Round
 from cosim.perturb.displaced_starts import Infeasible
 from cosim.process.fork import CAN_FORK
-from cosim.runs.results import events_table, steps_table
+from cosim.runs.run_tables import events_table, steps_table
 from cosim.spec.loading import load_scenario
 from cosim.spec.perturbations import KINDS
 from cosim.world.episode import COLUMNS, Ending, EventKind

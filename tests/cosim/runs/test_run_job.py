@@ -3,13 +3,13 @@
 import msgspec
 import pytest
 
-from cosim.spec.input_files import find_net
-from cosim.runs.run_job import run_job
-from cosim.spec.loading import load_scenario, override
 from cosim.runs.policy_loading import policy_of
+from cosim.runs.run_job import run_job
+from cosim.spec.input_files import find_net
+from cosim.spec.loading import load_scenario, override
+from gri.core.policy import ConstantVelocity, IntelligentDriver
 from gri.errors import InputError
 from gri.networks.model import RelationalModel
-from gri.core.policy import ConstantVelocity, IntelligentDriver
 from gri.resources import checkpoint, shipped
 
 

@@ -4,8 +4,8 @@ import msgspec
 import pytest
 
 from cosim.loop.closed_loop import Files
-from cosim.spec.loading import load_scenario
 from cosim.runs.traffic_survey import survey
+from cosim.spec.loading import load_scenario
 from gri.resources import shipped
 
 

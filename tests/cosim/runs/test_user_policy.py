@@ -4,11 +4,11 @@ import msgspec
 import pytest
 import torch
 
+from cosim.runs.policy_loading import policy_of
 from cosim.spec.input_files import input_files
 from cosim.spec.loading import load_scenario, override
-from cosim.runs.policy_loading import policy_of
-from gri.errors import InputError
 from gri.core.trajectory import Trajectory
+from gri.errors import InputError
 
 POLICY = '''
 """Keeps a time gap."""

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from cosim.loop.closed_loop import Files, prepared, simulation
 from cosim.process.fork import CAN_FORK
-from cosim.runs.results import steps_table
+from cosim.runs.run_tables import steps_table
 from cosim.runs.traffic_survey import survey
 from cosim.spec.loading import load_scenario, override, replaying
 from cosim.spec.scenario import CarFollowing

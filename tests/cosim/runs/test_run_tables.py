@@ -7,24 +7,24 @@ import pandas as pd
 import pytest
 import torch
 
-from cosim.world.episode import COLUMNS, Ending, Episode, Event, EventKind
-from cosim.world.groups import Group
-from cosim.runs.report import most_eventful, picture, summary
-from cosim.runs.results import (
+from cosim.runs.episode_figure import most_eventful, picture
+from cosim.runs.run_folder import next_folder, run_folder
+from cosim.runs.run_tables import (
     events_table,
     graphs_table,
     groups_table,
     labelled,
     manifest,
-    next_folder,
     read_tables,
-    run_folder,
     steps_table,
     write_manifest,
     write_tables,
 )
-from gri.errors import InputError
+from cosim.runs.summary import terminal_table
+from cosim.world.episode import COLUMNS, Ending, Episode, Event, EventKind
+from cosim.world.groups import Group
 from gri.core.graph import FOLLOWING, EdgeType, InteractionGraph
+from gri.errors import InputError
 
 CHAIN = {(1, 0): EdgeType.FOLLOW, (2, 1): EdgeType.FOLLOW}
 
@@ -154,7 +154,7 @@ def test_next_folder_never_overwrites(tmp_path):
 
 
 def test_summary_counts_what_the_table_holds(tables):
-    table = summary(tables["groups"])
+    table = terminal_table(tables["groups"])
     cells = {row: list(column) for row, column in zip(("label", "gri", "sumo"), _columns(table), strict=True)}
     values = dict(zip(cells["label"], cells["gri"], strict=True))
     assert values["groups"] == "1"

@@ -6,9 +6,7 @@ A run folder appears whole or not at all: it is written beside its place and the
 import json
 import os
 import platform
-import shutil
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -16,10 +14,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from cosim.world.episode import COLUMNS, Ending, Episode, EventKind
 from cosim.spec.input_files import sha256
-from gri.errors import InputError
+from cosim.world.episode import COLUMNS, Ending, Episode, EventKind
 from gri.core.graph import EdgeType, pairs
+from gri.errors import InputError
 
 TABLES = ("steps", "groups", "events", "graphs")
 
@@ -164,28 +162,3 @@ def read_tables(folder: Path) -> dict[str, pd.DataFrame]:
         if not (folder / f"{name}.parquet").is_file():
             raise InputError(f"{folder}: no {name}.parquet in it; expected a run folder written by `cosim run`")
     return {name: pd.read_parquet(folder / f"{name}.parquet") for name in TABLES}
-
-
-@contextmanager
-def run_folder(wanted: Path) -> Iterator[Path]:
-    """A folder to write a run into; it moves to `wanted` on success and is removed otherwise."""
-    if wanted.exists():
-        raise InputError(f"{wanted} exists already; give another --out or remove it")
-    partial = wanted.with_name(wanted.name + ".partial")
-    try:
-        shutil.rmtree(partial, ignore_errors=True)
-        partial.mkdir(parents=True)
-    except OSError as error:
-        raise InputError(f"cannot write to {wanted}: {error.strerror}; give another --out") from None
-    try:
-        yield partial
-        os.replace(partial, wanted)
-    except BaseException:
-        shutil.rmtree(partial, ignore_errors=True)
-        raise
-
-
-def next_folder(parent: Path, name: str) -> Path:
-    """`parent/name`, or with the first number behind it that is free."""
-    candidates = (parent / (name if k == 1 else f"{name}-{k}") for k in range(1, 10**6))
-    return next(path for path in candidates if not path.exists())

@@ -1,0 +1,176 @@
+"""The Python door to closed-loop runs: `run` runs a scenario, `open_run` reads a finished run, both return a `Run`."""
+
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from cosim.process.worker_process import run_in_worker
+from cosim.runs.run_folder import next_folder, run_folder
+from cosim.runs.run_tables import read_tables
+from cosim.runs.summary import summary
+from cosim.runs.user_policy import missing_attributes
+from cosim.spec.loading import load_scenario, override, replaying
+from cosim.spec.scenario import Scenario, tag_of
+from gri.errors import InputError
+from gri.resources import checkpoints
+
+Progress = Callable[[str, int, int], None]
+"""Called with the stage of the run, the steps or episodes done in it, and their total."""
+
+_BASELINES = ("sumo", "idm", "constant_velocity")
+
+
+@dataclass(frozen=True)
+class Run:
+    """A finished run: its folder and the tables in it (columns and units: docs/reference/run-tables.md)."""
+
+    folder: Path
+    steps: pd.DataFrame
+    """One row per episode, driver, instant and vehicle."""
+    groups: pd.DataFrame
+    """One row per episode and driver: the vehicles, how the drive ended, and its figures."""
+    events: pd.DataFrame
+    """One row per event of an episode."""
+    graphs: pd.DataFrame
+    """One row per episode, inference and ordered pair of vehicles: the inferred relation and its probability."""
+    manifest: dict[str, Any]
+    """Arguments, versions and hashes of the run."""
+
+    @property
+    def tables(self) -> dict[str, pd.DataFrame]:
+        """The four tables by name."""
+        return {name: getattr(self, name) for name in ("steps", "groups", "events", "graphs")}
+
+    def summary(self) -> pd.DataFrame:
+        """The table that `cosim run` prints: a row per figure, a column per driver, all cells as text."""
+        return summary(self.groups)
+
+    def figure(self, episode: int | None = None) -> Any:
+        """A matplotlib `Figure` of one episode; by default the one whose leader changes speed most.
+
+        Raises:
+            InputError: the run has no episode of that number.
+        """
+        from cosim.runs.episode_figure import figure
+
+        driven = self.groups.loc[self.groups["driver"] == self.groups["driver"].iloc[0], "episode"]
+        if episode is not None and episode not in set(driven):
+            raise InputError(f"episode: got {episode}, {self.folder} has the episodes 0 to {int(driven.max())}")
+        return figure(self.tables, episode)
+
+    def __repr__(self) -> str:
+        return f"Run({str(self.folder)!r}: {', '.join(self._facts())})"
+
+    def _repr_html_(self) -> str:
+        """The short form that notebooks show."""
+        facts = " · ".join(self._facts())
+        return f"<p><b>{escape(str(self.folder))}</b><br>{escape(facts)}</p>{self.summary().to_html()}"
+
+    def _facts(self) -> list[str]:
+        arguments = self.manifest["arguments"]
+        driven = int((self.groups["driver"] == self.groups["driver"].iloc[0]).sum())
+        return [f"driver {arguments['driver']}", f"seed {arguments['seed']}", f"{driven} episodes"]
+
+
+def run(
+    scenario: str | Path | Scenario,
+    policy: object | str | Path | Mapping[str, Any] | None = None,
+    *,
+    seed: int | None = None,
+    episodes: int | None = None,
+    recording: str | Path | None = None,
+    overrides: Mapping[str, Any] | None = None,
+    folder: str | Path | None = None,
+    progress: Progress | None = None,
+) -> Run:
+    """Run a scenario in closed loop and return its tables.
+
+    SUMO runs in a process of its own. A crash or Ctrl-C therefore ends that process only, and no half-written folder
+    is left behind.
+
+    Args:
+        scenario: name of a shipped scenario, path of a YAML file, or a `Scenario`.
+        policy: what drives the groups instead of the scenario's policy: "sumo", "idm" or "constant_velocity"; the name
+            or path of a checkpoint; "file.py:Name" or "package.module:Name" of your own policy; the mapping that a
+            YAML file would hold; or an object that has the attributes of `gri.Policy`.
+        seed: replaces the scenario's seed.
+        episodes: replaces the scenario's number of episodes.
+        recording: the NGSIM file to replay, for scenarios with a recorded background.
+        overrides: other top-level fields of the scenario to replace, such as `{"horizon": 4.0}`.
+        folder: where to write the run; by default a new folder in `runs/`.
+        progress: called with (stage, done, total) while the run goes on; `None` shows nothing.
+
+    Raises:
+        InputError: the scenario, the policy or the folder does not fit; the message says what to change.
+        RuntimeError: the simulation failed.
+
+    Example:
+        >>> import cosim
+        >>> done = cosim.run("us101_car_following", policy="idm", episodes=4)
+        >>> done.groups[["driver", "ending", "min_gap"]]
+        >>> done.figure()
+    """
+    chosen = scenario if isinstance(scenario, Scenario) else load_scenario(str(scenario))
+    spec, own = _policy(policy)
+    changes = {"seed": seed, "episodes": episodes, "policy": spec, **(overrides or {})}
+    chosen = override(chosen, {name: value for name, value in changes.items() if value is not None})
+    if recording is not None:
+        chosen = replaying(chosen, Path(recording))
+    name = chosen.net if isinstance(scenario, Scenario) else Path(scenario).stem
+    place = Path(folder) if folder else next_folder(Path("runs"), f"{name}-{tag_of(chosen.policy)}-seed{chosen.seed}")
+    with run_folder(place) as partial:
+        run_in_worker(
+            "cosim.runs.run_job:run_job",
+            chosen,
+            partial,
+            log=partial / "sumo.log",
+            tell=progress or _no_progress,
+            options={"policy": own} if own is not None else {},
+        )
+    return open_run(place)
+
+
+def open_run(folder: str | Path) -> Run:
+    """Read a finished run from its folder.
+
+    Raises:
+        InputError: the folder is no run folder.
+    """
+    folder = Path(folder)
+    tables = read_tables(folder)
+    manifest = folder / "manifest.json"
+    if not manifest.is_file():
+        raise InputError(f"{folder}: no manifest.json in it; expected a run folder written by `cosim run`")
+    return Run(folder, **tables, manifest=json.loads(manifest.read_text()))
+
+
+def _policy(policy: object) -> tuple[dict[str, Any] | None, object | None]:
+    """A scenario's policy field, and the policy object if one was given instead of a description."""
+    if policy is None:
+        return None, None
+    if isinstance(policy, Mapping):
+        return dict(policy), None
+    if isinstance(policy, str | Path):
+        text = str(policy)
+        if text.replace("-", "_") in _BASELINES:
+            return {"kind": text.replace("-", "_")}, None
+        if ":" in text and not Path(text).exists():
+            return {"kind": "python", "object": text}, None
+        if text in checkpoints() or Path(text).is_file():
+            return {"kind": "gri", "checkpoint": text}, None
+        raise InputError(
+            f"policy: got {text!r}, expected one of {', '.join(_BASELINES)}, a checkpoint (a path, or one of"
+            f" {', '.join(checkpoints())}), or 'file.py:Name'"
+        )
+    if missing := missing_attributes(policy):
+        raise InputError(f"policy: got a {type(policy).__name__} without {', '.join(missing)}; see gri.Policy")
+    return {"kind": "python", "object": f"{type(policy).__module__}:{type(policy).__name__}"}, policy
+
+
+def _no_progress(stage: str, done: int, total: int) -> None:
+    pass

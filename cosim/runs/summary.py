@@ -1,0 +1,109 @@
+"""The summary of a run: one column per driver, one row per figure."""
+
+from collections.abc import Callable
+
+import pandas as pd
+from rich.markup import escape
+from rich.table import Table
+
+from cosim.world.episode import ARRIVED, INTERRUPTED, Ending
+
+DRIVER_NAMES = {
+    "gri": "GRI",
+    "airl": "GRI (paper)",
+    "nri": "NRI",
+    "supervised": "Supervised",
+    "idm": "IDM",
+    "constant_velocity": "constant velocity",
+    "sumo": "left to SUMO",
+    "recorded": "as recorded",
+}
+Row = tuple[str, Callable[[pd.DataFrame], str]]
+
+
+def summary(groups: pd.DataFrame) -> pd.DataFrame:
+    """The figures of a run as text: a column per driver, in the order of the `groups` table."""
+    drivers = list(dict.fromkeys(groups["driver"]))
+    parts = [groups[groups["driver"] == driver] for driver in drivers]
+    rows = [[value(part) for part in parts] for _, value in _ROWS]
+    return pd.DataFrame(rows, index=[label for label, _ in _ROWS], columns=[driver_name(driver) for driver in drivers])
+
+
+def terminal_table(groups: pd.DataFrame) -> Table:
+    """The summary as a table for the terminal."""
+    table = Table(title="Groups driven, and the same groups left alone", title_justify="left")
+    table.add_column("")
+    content = summary(groups)
+    for driver in content.columns:
+        table.add_column(driver, justify="right")
+    for label, values in zip(content.index, content.to_numpy(), strict=True):
+        table.add_row(escape(label), *values)
+    return table
+
+
+def driver_name(driver: str) -> str:
+    """The name of a driver in tables and pictures."""
+    return DRIVER_NAMES.get(driver, driver)
+
+
+def _of(count: int, total: int) -> str:
+    return f"{count} of {total}" if total else "-"
+
+
+def _endings(groups: pd.DataFrame, *, interrupted: bool) -> str:
+    """Counts of each early ending that is no contact: those caused by other vehicles, or those caused by the driver."""
+    others = groups["ending"].isin(INTERRUPTED)
+    own = ~groups["ending"].isin([*INTERRUPTED, *ARRIVED, Ending.CONTACT])
+    kinds = groups.loc[others if interrupted else own, "ending"].value_counts()
+    return (
+        ", ".join(f"{n} {kind.replace('_', ' ')}" for kind, n in zip(map(str, kinds.index), kinds, strict=True)) or "0"
+    )
+
+
+def _complete(groups: pd.DataFrame) -> pd.DataFrame:
+    return groups[~groups["ending"].isin(INTERRUPTED)]
+
+
+def _edges(groups: pd.DataFrame) -> str:
+    """Share of the groups in which each relation was inferred, the most frequent first."""
+    if "edge_1_0" not in groups or groups["edge_1_0"].isna().all():
+        return "-"
+    pairs = [name for name in map(str, groups.columns) if name.startswith("edge_") and not name.endswith("_p")]
+    found = [
+        (n / len(groups), f"{pair[5]}→{pair[7]} {kind}")
+        for pair in pairs
+        for kind, n in groups[pair].value_counts().items()
+        if kind != "none"
+    ]
+    return "\n".join(f"{edge} {100 * share:.0f} %" for share, edge in sorted(found, reverse=True)) or "no edge"
+
+
+def _as_expected(groups: pd.DataFrame) -> str:
+    if "graph_as_expected" not in groups or groups["graph_as_expected"].isna().all():
+        return "-"
+    return _of(int(groups["graph_as_expected"].sum()), len(groups))
+
+
+def _hardest_braking(groups: pd.DataFrame) -> str:
+    return f"{groups['min_acceleration'].min():.1f} / {groups['min_acceleration_after'].min():.1f}"
+
+
+_ROWS: tuple[Row, ...] = (
+    ("groups", lambda g: str(len(g))),
+    ("  driven to the end", lambda g: _of(int(g["ending"].isin(ARRIVED).sum()), len(g))),
+    ("  not in time, or not on the road", lambda g: _endings(g, interrupted=False)),
+    ("  interrupted by others", lambda g: _endings(g, interrupted=True)),
+    ("inferred edges", _edges),
+    ("  whole graph as expected", _as_expected),
+    ("success (of those not interrupted)", lambda g: _of(int(g["success"].sum()), len(_complete(g)))),
+    ("collisions", lambda g: str(int(g["contact"].sum()))),
+    ("minimum gap [m]: worst / median", lambda g: f"{g['min_gap'].min():.1f} / {g['min_gap'].median():.1f}"),
+    ("minimum TTC [s]: worst / median", lambda g: f"{g['min_ttc'].min():.1f} / {g['min_ttc'].median():.1f}"),
+    ("mean speed [m/s]", lambda g: f"{g['mean_speed'].mean():.1f}"),
+    ("steps with |jerk| <= 3 m/s³ [%]", lambda g: f"{100 * g['jerk_within_3'].mean():.1f}"),
+    (
+        "hardest braking [m/s²]: driven / after",
+        lambda g: f"{g['min_acceleration'].min():.1f} / {g['min_acceleration_after'].min():.1f}",
+    ),
+    ("groups with hard braking after", lambda g: str(int((g["hard_braking_after"] > 0).sum()))),
+)
