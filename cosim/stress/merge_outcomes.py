@@ -4,7 +4,8 @@
 merge ahead of the leader is no success there; here it counts as merged.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Hashable, Mapping, Sequence
+from typing import Any
 
 import pandas as pd
 
@@ -42,13 +43,14 @@ def merge_table(
     for condition, (perturbation, intensity) in conditions.items():
         for site, rows in sites.items():
             same = rows["intensity"].isna() if intensity is None else rows["intensity"] == intensity
-            cell = merge_outcomes(rows[(rows["perturbation"] == perturbation) & same]).set_index("policy")
-            entries = [_entry(cell.loc[policy]) for policy in policies]
+            cell = merge_outcomes(rows[(rows["perturbation"] == perturbation) & same])
+            counts = {str(count["policy"]): count for count in cell.to_dict("records")}
+            entries = [_entry(counts[policy]) for policy in policies]
             lines.append(f"| {condition} | {site} | " + " | ".join(entries) + " |")
     return "\n".join(lines)
 
 
-def _entry(cell: pd.Series) -> str:
+def _entry(cell: Mapping[Hashable, Any]) -> str:
     share = 100 / cell["feasible"]
     whole = cell["feasible"] - cell["broken_up"]
     return f"{share * cell['merged']:.0f}, {share * cell['contact']:.0f} ({100 * cell['merged'] / whole:.0f} %)"
