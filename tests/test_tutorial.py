@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-TEXT = (Path(__file__).parents[1] / "docs/tutorial.md").read_text()
+DOCS = Path(__file__).parents[1] / "docs"
+TEXT = "\n".join((DOCS / page).read_text() for page in ("tutorial.md", "tutorial-batch.md"))
 BLOCKS = re.findall(r"^```(\w+)\n(.*?)^```", TEXT, re.MULTILINE | re.DOTALL)
 INSTALLATION = ("python3 -m venv", ". .venv", "pip install")
 
@@ -31,6 +32,7 @@ def test_every_command_of_the_tutorial_works(tmp_path):
     for name, text in files().items():
         (tmp_path / name).write_text(text.split("\n", 1)[1] if text.startswith("<!--") else text)
     path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])
+    printed = {}
     for command in commands():
         done = subprocess.run(
             shlex.split(command),
@@ -41,6 +43,10 @@ def test_every_command_of_the_tutorial_works(tmp_path):
             env=os.environ | {"PATH": path},
         )
         assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
+        printed[command] = done.stdout
+    medians = re.findall(r"^(?:\w+ +)?\w+ +[\w.]+ +([\d.]+)$", printed["python read.py"], re.MULTILINE)
+    assert len(medians) == 8
+    assert len(set(medians)) > 4, "the policies differ: counterparts left to SUMO are not among them"
     assert (tmp_path / "results/report.html").is_file()
     assert (tmp_path / "first/episode-1.html").is_file()
 
