@@ -152,6 +152,7 @@ POINT_MASS_1D = Dynamics(
     inverse=_point_mass_1d_inverse,
     stop=stop_at_standstill,
 )
+"""Motion along one lane: state (x [m], v [m/s], a [m/s²]), action jerk [m/s³] (Sec. VI-C)."""
 DUBINS = Dynamics(
     name=DynamicsName.DUBINS,
     state=("x", "y", "v", "heading", "a", "yaw_rate"),
@@ -162,6 +163,8 @@ DUBINS = Dynamics(
     inverse=_dubins_inverse,
     stop=stop_dubins_at_standstill,
 )
+"""Motion in the plane: state (x, y [m], v [m/s], heading [rad], a [m/s²], yaw rate [rad/s]), action jerk [m/s³] and yaw
+acceleration [rad/s²] (Sec. VI-C)."""
 POINT_MASS_2D = Dynamics(
     name=DynamicsName.POINT_MASS_2D,
     state=("x", "y", "vx", "vy", "ax", "ay"),

@@ -98,8 +98,7 @@ class IntelligentDriver:
 
     a = a_max·[1 − (v/v0)⁴ − (s*/s)²],  s* = s0 + max(0, v·T + v·Δv / (2√(a_max·b))), with the net gap s = Δx
     − length. The jerk brings next step's acceleration to that value. Defaults: means of the IDM population
-    fitted to the US-101 recordings (docs/sources.md), `desired_speed` the 65 mph posted on California
-    freeways.
+    fitted to the US-101 recordings, `desired_speed` the 65 mph posted on California freeways.
     """
 
     dt: float

@@ -1,7 +1,7 @@
-"""The relational policy: an encoder that infers the graph and a decoder that drives by it.
+"""The relational policy: an encoder that infers the graph, and a decoder that drives under it (Sec. V-A, Appendix A).
 
-GRI, NRI and their ablations are this class with an encoder, the Supervised baseline is it with a given graph.
-They differ in how they are trained (`gri.objectives`).
+GRI, NRI and their ablations are this class with an encoder. The Supervised baseline is this class with a given graph.
+They differ in how they are trained (`gri.training`).
 """
 
 from collections.abc import Callable

@@ -6,11 +6,11 @@ from cosim.batch.spec import Batch
 from cosim.commands.field_reference import markdown
 from cosim.spec.scenario import Scenario
 
-DOCUMENT = Path(__file__).parents[3] / "docs/reference.md"
+DOCUMENT = Path(__file__).parents[3] / "docs/reference/yaml-fields.md"
 
 
 def test_the_document_is_what_the_command_prints():
-    assert DOCUMENT.read_text() == markdown(), "run `cosim schema --markdown > docs/reference.md`"
+    assert DOCUMENT.read_text() == markdown(), "run `cosim schema --markdown > docs/reference/yaml-fields.md`"
 
 
 def test_every_field_is_in_it():

@@ -1,0 +1,66 @@
+"""Every picture stands on a page with a text alternative; tables of the stress pages are what the released rows say."""
+
+import re
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+ROOT = Path(__file__).parents[2]
+DOCS = ROOT / "docs"
+IMAGE = re.compile(r"!\[([^\]]*)\]\(([^()\s]+)\)")
+STRESS = ["stress_us101_car_following", "stress_us101_merge", "stress_i80_merge"]
+HAND_WRITTEN = [
+    path
+    for path in sorted(DOCS.glob("**/*.md"))
+    if not re.search(r"(yaml-fields|commands|stress|table\d|ood)\.md$", path.name) or path.parent == DOCS
+]
+LONG = {"reference/run-tables.md"}  # to look things up in
+
+
+def images() -> list[tuple[Path, str]]:
+    """Every picture of every page, with its text alternative."""
+    return [
+        ((page.parent / target).resolve(), text)
+        for page in [ROOT / "README.md", *DOCS.glob("**/*.md"), *ROOT.glob("sumo_nets/*/*.md")]
+        for text, target in IMAGE.findall(page.read_text())
+    ]
+
+
+def test_every_picture_is_on_a_page():
+    shown = {path for path, _ in images()}
+    pictures = {path for folder in (DOCS, ROOT / "sumo_nets") for path in folder.glob("**/*.png")}
+    assert not sorted(str(path.relative_to(ROOT)) for path in pictures - shown)
+
+
+def test_every_picture_has_a_text_alternative():
+    assert not [str(path) for path, text in images() if len(text.split()) < 4]
+
+
+def test_every_decision_note_is_in_the_index():
+    index = (DOCS / "decisions/README.md").read_text()
+    assert not [path.name for path in sorted(DOCS.glob("decisions/0*.md")) if f"({path.name})" not in index]
+
+
+@pytest.mark.parametrize("page", HAND_WRITTEN, ids=lambda page: str(page.relative_to(DOCS)))
+def test_pages_are_short(page):
+    if str(page.relative_to(DOCS)) not in LONG:
+        assert len(page.read_text().splitlines()) <= 150, "split the page, or move what was tried to docs/decisions"
+
+
+@pytest.mark.parametrize("name", STRESS)
+def test_the_table_of_a_stress_page_is_what_the_rows_say(name):
+    """Cells are "completed without contact (contact)" in percent of the feasible starts."""
+    rows = pd.read_parquet(DOCS / f"results/{name}/episodes.parquet")
+    rows = rows[rows["infeasible"] == ""]
+    table = re.search(r"^\| perturbation \|.*\n(?:\|.*\n)+", (DOCS / f"results/{name}/README.md").read_text(), re.M)
+    assert table is not None
+    head, _, *lines = ([cell.strip() for cell in line.strip("|").split("|")] for line in table[0].splitlines())
+    assert len(lines) >= 10
+    for label, *cells in lines:
+        kind, _, intensity = label.replace("`", "").partition(" ")
+        graded = rows["intensity"].eq(float(intensity)) if intensity else rows["intensity"].isna()
+        for policy, cell in zip(head[1:], cells, strict=True):
+            found = rows[(rows["perturbation"] == kind) & graded & (rows["policy"] == policy)]
+            completed, contact = found["ending"].isin(["merged", "horizon"]), found["contact"].astype(bool)
+            assert cell == f"{100 * completed.mean():.0f} ({100 * contact.mean():.0f})", f"{label}, {policy}"

@@ -1,0 +1,76 @@
+"""docs/reference/run-tables.md names every column that the program writes, and no other."""
+
+import re
+from dataclasses import fields
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from cosim.batch.run_matrix import Cell
+from cosim.runs.run_tables import events_table, graphs_table, groups_table, steps_table
+from cosim.stress.estimates import counts, differences, estimates
+from cosim.world.episode import COLUMNS, Ending, Episode, EventKind
+from cosim.world.groups import Group
+from gri.core.graph import FOLLOWING, EdgeType, InteractionGraph
+
+ROOT = Path(__file__).parents[2]
+TEXT = (ROOT / "docs/reference/run-tables.md").read_text()
+CHAIN = {(1, 0): EdgeType.FOLLOW, (2, 1): EdgeType.FOLLOW}
+RENAMED = {"taken_at": "takeover_time", "driven_for": "drive_duration"}  # since the released tables were made
+
+
+def named(before: str) -> list[str]:
+    """The words in the first column of the first table behind this text."""
+    table = re.search(r"(?:^\|.*\n)+", TEXT[TEXT.index(before) :], re.MULTILINE)
+    assert table is not None
+    return [word for line in table[0].splitlines()[2:] for word in re.findall(r"`(\w+)`", line.split("|")[1])]
+
+
+@pytest.fixture(scope="module")
+def run() -> dict[str, pd.DataFrame]:
+    time = np.round(np.arange(0, 2.01, 0.2), 10)
+    state = np.zeros((len(time), 3, len(COLUMNS)))
+    state[..., COLUMNS.index("s")] = 10.0 * time[:, None] + 20.0 * np.arange(3)
+    episode = Episode(
+        driver="gri",
+        group=Group(("a", "b", "c"), 0.4),
+        time=time,
+        state=state,
+        valid=np.ones((len(time), 3), dtype=bool),
+        driven=np.zeros((len(time), 3), dtype=bool),
+        length=np.full(3, 5.0),
+        width=np.full(3, 1.8),
+        order=(0, 1, 2),
+        graph=InteractionGraph.of_edges(CHAIN, FOLLOWING),
+        graph_time=np.array([0.4]),
+        ending=Ending.HORIZON,
+        end=1.6,
+        events=(),
+    )
+    tables = {"steps": steps_table([episode]), "groups": groups_table([episode], CHAIN)}
+    return tables | {"events": events_table([episode]), "graphs": graphs_table([episode])}
+
+
+@pytest.mark.parametrize("name", ["steps", "groups", "events", "graphs"])
+def test_the_columns_of_a_run(name, run):
+    assert sorted(named(f"\n## {name}\n")) == sorted(run[name].columns)
+
+
+def test_endings_and_events():
+    assert named("### Endings") == [ending.value for ending in Ending]
+    assert named("### Kinds of events") == [kind.value for kind in EventKind]
+
+
+def test_the_labels_of_a_batch():
+    assert named("## Tables of a batch") == ["run", *(field.name for field in fields(Cell))]
+
+
+def test_the_tables_of_a_stress_test():
+    rows = pd.read_parquet(ROOT / "docs/results/stress_us101_car_following/episodes.parquet").rename(columns=RENAMED)
+    assert sorted(named("`episodes.parquet`")) == sorted(rows.columns)
+    few = rows[(rows["perturbation"] == "nominal") & rows["policy"].isin(["gri", "idm"])].head(400)
+    assert named("`counts.parquet`") == list(counts(few).columns)
+    assert named("`estimates.parquet`") == list(estimates(few).columns)
+    assert named("`differences.parquet`") == list(differences(few).columns)
