@@ -1,10 +1,10 @@
-"""How long work tells how far it is."""
+"""How long work reports its progress: as a function that it is given."""
 
 from collections.abc import Callable
 
 Progress = Callable[[str, int, int, float], None]
-"""(what is trained, updates done, updates in all, value of its objective)."""
+"""(stage, units done, units in all, value of the objective or 0 where there is none)."""
 
 
 def no_progress(what: str, done: int, total: int, value: float) -> None:
-    """No progress shown."""
+    """Report nothing."""

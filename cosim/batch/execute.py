@@ -7,7 +7,7 @@ import sys
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -18,10 +18,26 @@ from cosim.batch.run_matrix import PACKAGES, Run
 from cosim.batch.spec import Batch
 from cosim.batch.store import Store
 from cosim.process.task import Answer, Answers, Task
-from cosim.process.terminal import Tally
 
 Executor = Callable[[deque[Task], float], Answers]  # (queue, time limit [s])
 FINAL = ("input",)  # kinds of failure that a second attempt cannot mend
+
+
+@dataclass(frozen=True)
+class Tally:
+    """Where a batch stands: runs in all, finished runs, and runs that failed for good."""
+
+    total: int
+    done: int
+    failed: int
+
+    @property
+    def ended(self) -> int:
+        return self.done + self.failed
+
+    @property
+    def left(self) -> int:
+        return self.total - self.ended
 
 
 Tell = Callable[[Tally], None]
@@ -39,7 +55,7 @@ def execute(
         if retry:
             store.forget_failures()
         done, failed = store.finished() & set(by_id), set(store.failures()) & set(by_id)
-        tally = Tally(len(runs), len(done), len(failed - done), len(done | failed))
+        tally = Tally(len(runs), len(done), len(failed - done))
         attempts: Counter[str] = Counter()
         reasons: dict[str, list[dict[str, Any]]] = {}
         queue = deque(_task(run, store, 0) for run in runs if run.id not in done | failed)
@@ -48,7 +64,7 @@ def execute(
         try:
             with closing(executor(queue, batch.time_limit)) as answers:  # leaving it ends whatever is under way
                 for answer in answers:
-                    run = by_id[answer.run]
+                    run = by_id[answer.name]
                     answer = _kept(answer, store)
                     attempts[run.id] += 1
                     if answer.kind == "done":
@@ -69,14 +85,15 @@ def execute(
 
 
 def _task(run: Run, store: Store, attempt: int) -> Task:
-    return Task(run.id, run.scenario, msgspec.to_builtins(run.cell), run.key, store.partial(run.id, attempt))
+    arguments = run.scenario, msgspec.to_builtins(run.cell), run.key
+    return Task(run.id, "cosim.batch.run_task:run_task", arguments, store.partial(run.id, attempt))
 
 
 def _kept(answer: Answer, store: Store) -> Answer:
     """Publish what a good attempt wrote and remove what a bad one left; where that fails, the attempt was a bad one."""
     if answer.kind == "done":
         try:
-            store.finish(answer.run, answer.folder)
+            store.finish(answer.name, answer.folder)
         except OSError as error:
             answer = replace(answer, kind="error", message=f"cannot be kept: {error.strerror} ({error.filename})")
     if answer.kind != "done":
@@ -98,7 +115,7 @@ def _failure(run: Run, reasons: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 def _entry(answer: Answer, attempt: int) -> dict[str, Any]:
     seconds, peak = round(answer.seconds, 3), round(answer.peak_mb, 1)
-    return {"run": answer.run, "attempt": attempt, "ended": answer.kind, "seconds": seconds, "peak_mb": peak}
+    return {"run": answer.name, "attempt": attempt, "ended": answer.kind, "seconds": seconds, "peak_mb": peak}
 
 
 def manifest(batch: Batch, runs: Sequence[Run], store: Store, file: Path) -> dict[str, Any]:

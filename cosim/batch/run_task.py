@@ -1,20 +1,20 @@
-"""What a worker does with one run, wherever it runs."""
+"""What a worker process does for a batch: check its policies, do one of its runs."""
 
-import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
 import msgspec
 
 from cosim.batch.run_matrix import Run, key_of
-from cosim.process.own_process import peak_mb, print_to
-from cosim.process.task import LOG, Answer, Task
 from cosim.runs.policy_loading import policy_of
 from cosim.runs.run_job import run_job
+from cosim.spec.scenario import Scenario
 from gri.errors import InputError
 
 
-def check(runs: Sequence[Run], tell: Callable[..., None]) -> None:
-    """Refuse a batch in which a policy does not fit its scenario, before anything runs."""
+def check_policies(runs: Sequence[Run], tell: Callable[..., None]) -> None:
+    """Load every policy once, before anything runs. Errors: `InputError` where one does not fit its scenario."""
     kinds = {
         msgspec.json.encode(msgspec.structs.replace(run.scenario, seed=0, perturbations=())): run
         for run in reversed(runs)
@@ -26,22 +26,14 @@ def check(runs: Sequence[Run], tell: Callable[..., None]) -> None:
             raise InputError(f"{run.cell}: {error}") from None
 
 
-def perform(task: Task) -> Answer:
-    """Do the run in this process, which prints into its folder from now on; every failure becomes an answer."""
-    try:
-        task.folder.mkdir(parents=True)
-        print_to(task.folder / LOG)
-        if key_of(task.scenario, task.labels) != task.key:
-            raise InputError(
-                "the net, the checkpoint or the versions here are not those that the batch began with; start"
-                " `cosim batch` again, with the same installation on every machine"
-            )
-        run_job(task.scenario, task.folder, lambda *_: None, labels=task.labels, draw=False)
-    except InputError as error:
-        return Answer(task.run, task.folder, "input", str(error))
-    except OSError as error:
-        return Answer(task.run, task.folder, "error", f"{error.strerror or error} ({type(error).__name__})")
-    except Exception as error:
-        traceback.print_exc()
-        return Answer(task.run, task.folder, "error", f"{type(error).__name__}: {error}")
-    return Answer(task.run, task.folder, "done", peak_mb=peak_mb())
+def run_task(folder: Path, scenario: Scenario, labels: Mapping[str, Any], key: str) -> None:
+    """Do one run of a batch into its folder (the function of a `cosim.process.task.Task`).
+
+    Errors: `InputError` where the key differs from the one that the run has here, and those of `run_job`.
+    """
+    if key_of(scenario, labels) != key:
+        raise InputError(
+            "the net, the checkpoint or the versions here are not those that the batch began with; start"
+            " `cosim batch` again, with the same installation on every machine"
+        )
+    run_job(scenario, folder, lambda *_: None, labels=labels, draw=False)

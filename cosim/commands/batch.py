@@ -1,4 +1,4 @@
-"""The commands about batches: run one, look at its results."""
+"""Commands about batches: run one, and list or compare its results."""
 
 import os
 import time
@@ -10,24 +10,30 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from cosim.process.terminal import Runs, console, errors, next_command, say
 from gri.errors import InputError
+from gri.terminal import ProgressDisplay, console, next_command, notice, say
 
 if TYPE_CHECKING:
+    from cosim.batch.execute import Tally
     from cosim.batch.run_matrix import Run
 
 
 def batch(
-    file: Annotated[str, typer.Argument(help="Name of a shipped batch, or path of a YAML file.")],
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the file and list its runs, run nothing.")] = False,
+    file: Annotated[str, typer.Argument(metavar="FILE", help="Name of a shipped batch, or path of a YAML file.")],
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the file and list its runs; run nothing.")] = False,
     workers: Annotated[int | None, typer.Option(min=1, help="Runs at a time; default: one per core.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder of the batch; default: runs/batch/NAME.")] = None,
-    executor: Annotated[Literal["local", "ray"], typer.Option(help="This machine, or a Ray cluster.")] = "local",
+    executor: Annotated[
+        Literal["local", "ray"], typer.Option(help="Where to run: on this machine, or on a Ray cluster.")
+    ] = "local",
     address: Annotated[str | None, typer.Option(help="Address of the Ray cluster; default: one started here.")] = None,
-    only: Annotated[list[str] | None, typer.Option(help="Only the run with this id; repeatable.")] = None,
-    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Try again what failed for good.")] = False,
+    only: Annotated[list[str] | None, typer.Option(help="Run only the run with this id; repeatable.")] = None,
+    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Run again what has failed.")] = False,
 ) -> None:
-    """Run every scenario of a batch file that has not run yet; stop and continue at will."""
+    """Run all runs of a batch file that are not finished.
+
+    The same command continues a batch that was stopped.
+    """
     from cosim.batch.run_matrix import expand, load_batch
 
     spec, path = load_batch(file)
@@ -46,19 +52,25 @@ def batch(
     if waiting := [run for run in runs if run.id not in ended]:
         # Whatever kills the check would kill the runs as well, which is what their retries and records are for.
         with TemporaryDirectory() as scratch, suppress(WorkerDeath):
-            run_in_worker("cosim.batch.run_task:check", waiting, log=Path(scratch, "log"), tell=lambda *_: None)
+            run_in_worker(
+                "cosim.batch.run_task:check_policies", waiting, log=Path(scratch, "log"), tell=lambda *_: None
+            )
     say(f"{len(runs)} runs; results: {folder}")
     began = time.monotonic()
     how = _executor(executor, workers, address)
     try:
-        with Runs() as progress:
-            tally = execute(spec, runs, Store(folder), how, progress.tell, file=path, retry=retry_failed)
+        with ProgressDisplay() as show:
+
+            def tell(tally: "Tally") -> None:
+                show("runs", tally.ended, tally.total, f"{tally.failed} failed" if tally.failed else "")
+
+            tally = execute(spec, runs, Store(folder), how, tell, file=path, retry=retry_failed)
     except KeyboardInterrupt:
-        errors.print(f"stopped; finished runs are kept, `cosim batch {file}` goes on", markup=False, soft_wrap=True)
+        notice(f"stopped; finished runs are kept, `cosim batch {file}` continues")
         raise typer.Exit(130) from None
     say(f"{tally.done} of {tally.total} finished, {tally.failed} failed, {time.monotonic() - began:.0f} s.")
     if tally.left:
-        errors.print(f"{tally.left} runs are open, because nothing could be written about them", markup=False)
+        notice(f"{tally.left} runs are not finished, because their records could not be written")
     if tally.failed or tally.left:
         next_command(f"cosim results {folder} --failures")
         raise typer.Exit(1)
@@ -67,20 +79,27 @@ def batch(
 
 def _chosen(runs: "tuple[Run, ...]", only: list[str]) -> "tuple[Run, ...]":
     if unknown := set(only) - {run.id for run in runs}:
-        raise InputError(f"--only {min(unknown)}: no such run in this file; --dry-run lists them")
+        raise InputError(f"--only {min(unknown)}: the file has no run with this id; --dry-run lists them")
     return tuple(run for run in runs if not only or run.id in only)
 
 
 def results(
-    folder: Annotated[Path, typer.Argument(help="The folder of a batch.")],
-    where: Annotated[list[str], typer.Option(help="Only rows with this value, e.g. policy=idm; repeatable.")] = [],  # noqa: B006
-    by: Annotated[str, typer.Option(help="Columns to group by.")] = "policy,perturbation,intensity",
-    compare: Annotated[str | None, typer.Option(help="Two policies on the same starts, e.g. gri,idm.")] = None,
-    csv: Annotated[Path | None, typer.Option(help="Write the selected groups, one row each, to a CSV file.")] = None,
+    folder: Annotated[Path, typer.Argument(metavar="BATCH", help="The folder of a batch.")],
+    where: Annotated[
+        list[str],
+        typer.Option(metavar="COLUMN=VALUE", help="Use only rows with this value, such as policy=idm; repeatable."),
+    ] = [],  # noqa: B006
+    by: Annotated[
+        str, typer.Option(help="Columns to group by, separated by commas.")
+    ] = "policy,perturbation,intensity",
+    compare: Annotated[
+        str | None, typer.Option(help="Compare two policies on the same starts, such as gri,idm.")
+    ] = None,
+    csv: Annotated[Path | None, typer.Option(help="CSV file to write the selected groups to, one row each.")] = None,
     runs: Annotated[bool, typer.Option("--runs", help="List every run with its state.")] = False,
     failures: Annotated[bool, typer.Option("--failures", help="List the runs that failed, and why.")] = False,
 ) -> None:
-    """List, filter, compare and export the results of a batch."""
+    """List, filter, compare or export the results of a batch."""
     from cosim.batch import result_listing
     from cosim.batch.store import Store
 
@@ -101,7 +120,7 @@ def results(
 
 
 def _executor(name: str, workers: int | None, address: str | None):
-    """How to do tasks: a function of a queue and a time limit."""
+    """What runs tasks: a function of a queue and a time limit [s]."""
     if name == "ray":
         from cosim.process.ray_pool import run_ray
 

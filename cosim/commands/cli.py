@@ -1,92 +1,107 @@
-"""The `cosim` command."""
+"""The `cosim` command: its subcommands, and what happens when one fails."""
 
 import json
 import sys
 import time
 from pathlib import Path
-from typing import Annotated, Literal, NoReturn
+from typing import Annotated, Literal
 
 import msgspec
 import typer
 
-from cosim.commands import batch as batch_commands
-from cosim.commands import show as show_commands
-from cosim.commands import traffic
+from cosim.commands.arguments import ScenarioArgument, SeedOption
+from cosim.commands.batch import batch, results
 from cosim.commands.scenes import scenes
+from cosim.commands.show import explain, gui, render, report
 from cosim.commands.stress import stress
-from cosim.process.terminal import Stages, console, errors, next_command, say
+from cosim.commands.traffic import calibrate, realism, traffic
 from gri.errors import InputError
+from gri.terminal import ProgressDisplay, console, fail, next_command, say, show_version
 
 # Each command imports what it needs: torch and SUMO take seconds to import, and `--help` should not.
+# Without a markup mode the help is plain text: units in square brackets, such as [s], would vanish as Rich markup.
 
-app = typer.Typer(
-    help="Run driving policies in closed loop with SUMO traffic.",
-    no_args_is_help=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-)
+app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
+
+
+def _version(wanted: bool) -> bool:
+    if wanted:
+        show_version("cosim")
+    return wanted
+
+
+@app.callback()
+def cosim(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    """Run driving policies in closed loop with SUMO traffic."""
 
 
 @app.command()
 def run(
-    scenario: Annotated[str, typer.Argument(help="Name of a shipped scenario, or path of a YAML file.")],
+    scenario: ScenarioArgument,
     baseline: Annotated[
         Literal["sumo", "idm", "constant-velocity"] | None,
         typer.Option(help="Drive the same groups with a baseline instead of the scenario's policy."),
     ] = None,
-    seed: Annotated[int | None, typer.Option(help="Replace the scenario's seed.")] = None,
-    episodes: Annotated[int | None, typer.Option(help="Replace the scenario's number of episodes.")] = None,
+    seed: SeedOption = None,
+    episodes: Annotated[int | None, typer.Option(help="Number of episodes to use instead of the scenario's.")] = None,
     recording: Annotated[Path | None, typer.Option(help="The NGSIM file that the scenario replays.")] = None,
     out: Annotated[Path | None, typer.Option(help="Run folder to write; default: a new one in runs/.")] = None,
 ) -> None:
-    """Take three-vehicle groups out of live traffic, drive them, hand them back."""
+    """Take groups out of live traffic, drive them, hand them back.
+
+    A policy drives every group of vehicles for the horizon of the scenario. The
+    table compares it with the same groups left to SUMO.
+    """
     from cosim.runs.run import run as run_scenario
     from cosim.runs.summary import terminal_table
 
     began = time.monotonic()
-    with Stages() as progress:
+    with ProgressDisplay() as progress:
         done = run_scenario(
-            scenario, baseline, seed=seed, episodes=episodes, recording=recording, folder=out, progress=progress.tell
+            scenario, baseline, seed=seed, episodes=episodes, recording=recording, folder=out, progress=progress
         )
     console.print(terminal_table(done.groups))
     say(f"\n{time.monotonic() - began:.0f} s. Tables, manifest and picture: {done.folder}")
     next_command(f"cosim report {done.folder}" if baseline else f"cosim run {scenario} --baseline idm")
 
 
-for _command in (traffic.traffic, traffic.calibrate, traffic.realism):
-    app.command()(_command)
-
-
-app.command()(scenes)
-app.command()(stress)
-app.command()(batch_commands.batch)
-app.command()(batch_commands.results)
-for _command in (show_commands.report, show_commands.render, show_commands.explain, show_commands.gui):
+for _command in (report, explain, render, gui, traffic, calibrate, realism, scenes, stress, batch, results):
     app.command()(_command)
 
 
 @app.command("list")
 def list_() -> None:
-    """List the scenarios, nets and checkpoints that come with the project."""
+    """List the shipped scenarios, nets and checkpoints."""
     from cosim.spec.loading import load_scenario, names_of
     from gri.resources import checkpoints, shipped
 
-    say("[bold]scenarios[/bold]")
+    console.print("scenarios", style="bold")
     for name in names_of("scenarios"):
         say(f"  {name}  {load_scenario(name).description}")
-    say("[bold]nets[/bold]")
+    console.print("nets", style="bold")
     for path in sorted(shipped("sumo_nets").glob("*/*.net.xml")):
         say(f"  {path.parent.name}  {path}")
-    say(f"[bold]checkpoints[/bold]\n  {', '.join(checkpoints())}")
+    console.print("checkpoints", style="bold")
+    say(f"  {', '.join(checkpoints())}")
     next_command("cosim run us101_car_following")
 
 
 @app.command()
 def schema(
-    of: Annotated[Literal["scenario", "batch"], typer.Argument(help="The kind of file.")] = "scenario",
-    markdown: Annotated[bool, typer.Option("--markdown", help="All fields of both kinds, for reading.")] = False,
+    of: Annotated[
+        Literal["scenario", "batch"], typer.Argument(metavar="KIND", help="Kind of file: scenario or batch.")
+    ] = "scenario",
+    markdown: Annotated[bool, typer.Option("--markdown", help="Print a reference of all fields for reading.")] = False,
 ) -> None:
-    """Print the JSON Schema of scenario or batch files, for editors, or a reference of their fields, for people."""
+    """Print the JSON Schema of scenario or batch files.
+
+    Editors use it to complete and check YAML files. With --markdown, print a
+    reference of the fields of both kinds instead.
+    """
     if markdown:
         from cosim.commands.field_reference import markdown as reference
 
@@ -100,18 +115,13 @@ def schema(
     sys.stdout.write(msgspec.json.format(json.dumps(json_schema())) + "\n")
 
 
-def _fail(message: str, code: int) -> NoReturn:
-    errors.print(f"error: {message}", markup=False, soft_wrap=True)
-    sys.exit(code)
-
-
 def main() -> None:
-    """Entry point: input errors are one line and exit code 2, failures exit code 1, Ctrl-C 130."""
+    """Entry point. Errors are one line on stderr; the exit code is 2 for bad input, 1 for failures, 130 for Ctrl-C."""
     try:
         app(standalone_mode=True)
     except InputError as error:
-        _fail(str(error), 2)
+        fail(str(error), 2)
     except KeyboardInterrupt:
-        _fail("stopped; nothing was left half-written", 130)
+        fail("stopped; nothing was left half-written", 130)
     except RuntimeError as error:
-        _fail(str(error), 1)
+        fail(str(error), 1)

@@ -1,4 +1,4 @@
-"""From what a person types to an order for scenes; every mistake is one line."""
+"""Turn the options of `cosim scenes` into a scenario, kinds and rules; every mistake is an `InputError`."""
 
 import re
 from collections.abc import Sequence
@@ -13,9 +13,15 @@ from gri.errors import InputError
 
 
 def changed(scenario: Scenario, name: str, step: float | None) -> Scenario:
-    """The scenario with another step. Errors: `InputError` where no scenes can be cut out of it."""
+    """The scenario with another step [s].
+
+    Raises:
+        InputError: the step does not divide the period of scenes, or the background is a recording.
+    """
     if not isinstance(scenario.background, Simulated):
-        raise InputError(f"{name}: its background is a recording, of which `gri ngsim scenes` cuts scenes")
+        raise InputError(
+            f"{name}: got a scenario whose background is a recording; cut its scenes with `gri ngsim scenes`"
+        )
     step = scenario.step if step is None else step
     every = DT / step if step > 0 else 0.0
     if every < 1 - 1e-9 or abs(every - round(every)) > 1e-6:
@@ -24,7 +30,7 @@ def changed(scenario: Scenario, name: str, step: float | None) -> Scenario:
 
 
 def kinds_of(names: Sequence[str] | None) -> tuple[Kind, ...]:
-    """The kinds asked for, each once; all where none is."""
+    """The named kinds, each once; all kinds where no name is given."""
     for name in names or ():
         if name not in KINDS:
             raise InputError(f"--kind: got {name!r}, wanted {' or '.join(KINDS)}")
@@ -32,7 +38,7 @@ def kinds_of(names: Sequence[str] | None) -> tuple[Kind, ...]:
 
 
 def rules_of(*, at_most: Sequence[str], **changes: Any) -> Rules:
-    """The rules with what was given."""
+    """The rules with the options that were given; `at_most` holds texts TYPE=SHARE."""
     shares: dict[str, str] = {}
     for text in at_most:
         kind, _, share = text.partition("=")

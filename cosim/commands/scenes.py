@@ -1,4 +1,4 @@
-"""`cosim scenes`."""
+"""The command `cosim scenes`."""
 
 import os
 import time
@@ -7,34 +7,53 @@ from typing import Annotated
 
 import typer
 
-from cosim.process.terminal import SceneProgress, console, next_command, say
+from cosim.commands.arguments import ScenarioArgument
+from gri.terminal import ProgressDisplay, console, next_command, say
 
 
 def scenes(
-    scenario: Annotated[str, typer.Argument(help="Name of a shipped scenario, or path of a YAML file.")],
-    out: Annotated[Path, typer.Option(help="Folder to write: scenes.parquet and report.json.")],
+    scenario: ScenarioArgument,
+    out: Annotated[Path, typer.Option(help="Folder to write scenes.parquet and report.json to.")],
     count: Annotated[int, typer.Option(min=1, help="Scenes of each kind.")] = 1000,
-    kind: Annotated[list[str] | None, typer.Option(help="car_following or merge; default: both.")] = None,
-    gold: Annotated[bool, typer.Option("--gold", help="Label by intervention in copies of the simulation.")] = False,
-    seed: Annotated[int | None, typer.Option(help="The first seed; default: the scenario's.")] = None,
+    kind: Annotated[list[str] | None, typer.Option(help="car_following or merge; repeatable; default: both.")] = None,
+    gold: Annotated[
+        bool, typer.Option("--gold", help="Label relations by interventions in copies of the simulation, not by rules.")
+    ] = False,
+    seed: Annotated[int | None, typer.Option(help="First seed; default: the scenario's.")] = None,
     per_seed: Annotated[
-        int | None, typer.Option(min=1, help="Scenes of a kind per seed, at most; default: a tenth, 250 at most.")
+        int | None,
+        typer.Option(min=1, help="Most scenes of each kind per seed; default: a tenth of --count, at most 250."),
     ] = None,
-    step: Annotated[float | None, typer.Option(help="Simulate with this step [s]; 0.2 must be a multiple.")] = None,
+    step: Annotated[
+        float | None, typer.Option(help="Step of the simulation [s]; 0.2 s must be a multiple of it.")
+    ] = None,
     any_change: Annotated[
-        bool, typer.Option("--any-change", help="Merges are lane changes for any reason, not only necessary ones.")
+        bool, typer.Option("--any-change", help="Take lane changes for any reason as merges, not only necessary ones.")
     ] = False,
     at_most: Annotated[
         list[str] | None,
-        typer.Option(help="TYPE=SHARE: so many scenes of a kind, at most, whose rarest edge is cut_in, yield, follow."),
+        typer.Option(
+            metavar="TYPE=SHARE",
+            help="Greatest share of the scenes of each kind whose rarest relation is TYPE (cut_in, yield or follow);"
+            " repeatable.",
+        ),
     ] = None,
-    interaction: Annotated[float | None, typer.Option(help="Least time of interaction in a scene [s].")] = None,
-    spacing: Annotated[float | None, typer.Option(help="Greatest distance to the vehicle ahead [m].")] = None,
-    per_vehicle: Annotated[int | None, typer.Option(min=1, help="Scenes of a kind that a vehicle may be in.")] = None,
-    reduction: Annotated[str, typer.Option(help="Of the steps to one graph: strongest or longest.")] = "strongest",
-    workers: Annotated[int | None, typer.Option(min=1, help="Seeds at a time; default: one per core.")] = None,
+    interaction: Annotated[float | None, typer.Option(help="Shortest time of interaction in a scene [s].")] = None,
+    spacing: Annotated[float | None, typer.Option(help="Greatest distance to the leader [m].")] = None,
+    per_vehicle: Annotated[
+        int | None, typer.Option(min=1, help="Most scenes of each kind that one vehicle may be in.")
+    ] = None,
+    reduction: Annotated[
+        str, typer.Option(help="Relation of a pair in the graph of a scene: the strongest or the longest.")
+    ] = "strongest",
+    workers: Annotated[
+        int | None, typer.Option(min=1, help="Seeds simulated at a time; default: one per core.")
+    ] = None,
 ) -> None:
-    """Cut three-vehicle scenes out of live traffic, with the relations that the simulator knows."""
+    """Make labelled three-vehicle scenes from simulated traffic.
+
+    The labels say which vehicle follows, yields to or cuts in on which.
+    """
     from cosim.commands.scene_options import changed, kinds_of, rules_of
     from cosim.spec.loading import load_scenario, override
 
@@ -56,8 +75,8 @@ def scenes(
         rules=rules,
     )
     began = time.monotonic()
-    with SceneProgress() as progress:
-        made = make(order, out, workers or os.cpu_count() or 1, progress.tell)
+    with ProgressDisplay() as show:
+        made = make(order, out, workers or os.cpu_count() or 1, lambda done, total: show("scenes", done, total))
     report = report_of(order, made, time.monotonic() - began, out)
     for table in tables(report):
         console.print(table)

@@ -1,24 +1,25 @@
-"""The commands that show results: one run, one episode, or a whole batch."""
+"""Commands that show results: of one run, one episode, or a whole batch."""
 
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
 import typer
 
-from cosim.process.terminal import console, next_command, say
+from cosim.commands.arguments import EpisodeOption, RunArgument
 from gri.errors import InputError
+from gri.terminal import console, next_command, say
 
-Run = Annotated[Path, typer.Argument(help="A run folder, also one of a batch: BATCH/runs/ID.")]
 Format = Literal["html", "gif", "mp4", "png"]
-EpisodeNumber = Annotated[int, typer.Option(help="Which episode of the run.")]
 
 
 def report(
-    folder: Annotated[Path, typer.Argument(help="A run folder, or the folder of a batch.")],
-    episode: Annotated[int | None, typer.Option(help="Of a run: draw this episode, not the most eventful.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Of a batch: the file to write; default: its report.html.")] = None,
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A run folder, or the folder of a batch.")],
+    episode: Annotated[int | None, typer.Option(help="For a run: episode to draw; default: the most eventful.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="For a batch: file to write; default: report.html in its folder.")
+    ] = None,
 ) -> None:
-    """Show a finished run as a table and a picture, or a batch as one HTML file."""
+    """Show a run as a table and picture, a batch as an HTML file."""
     if (folder / "runs").is_dir():
         return _batch_report(folder, out or folder / "report.html")
     from cosim.runs.episode_figure import picture
@@ -46,14 +47,17 @@ def _batch_report(folder: Path, path: Path) -> None:
 
 
 def render(
-    run: Run,
-    episode: EpisodeNumber = 0,
+    run: RunArgument,
+    episode: EpisodeOption = 0,
     kind: Annotated[
-        Format | None, typer.Option("--format", help="What to make; default: what --out ends with, else html.")
+        Format | None, typer.Option("--format", help="Format of the file; default: the ending of --out, else html.")
     ] = None,
-    out: Annotated[Path | None, typer.Option(help="The file to write; default: in the run folder.")] = None,
+    out: Annotated[Path | None, typer.Option(help="File to write; default: in the run folder.")] = None,
 ) -> None:
-    """Draw one episode as a picture, a film or a page that plays it; no display is needed."""
+    """Draw one episode as a picture, film or HTML page.
+
+    No display is needed.
+    """
     from cosim.runs.run_tables import read_tables
     from cosim.show.episode_view import view
 
@@ -79,18 +83,21 @@ def render(
 
 
 def _format_of(out: Path | None) -> Format:
-    """What a file of this name is expected to hold."""
+    """The format that the ending of the file names; html without a file."""
     if out is None:
         return "html"
     for kind in get_args(Format):
         if out.suffix.lower() == f".{kind}":
             return kind
     wanted = ", ".join(f".{kind}" for kind in get_args(Format))
-    raise InputError(f"--out {out}: got the ending {out.suffix!r}, wanted one of {wanted}; or say what with --format")
+    raise InputError(f"--out {out}: got the ending {out.suffix!r}, wanted one of {wanted}; or give --format")
 
 
-def explain(run: Run, episode: EpisodeNumber = 0) -> None:
-    """Say in words what the policy believed and did, from its own graph and its own reward."""
+def explain(run: RunArgument, episode: EpisodeOption = 0) -> None:
+    """Explain in words why the policy drove as it did.
+
+    The text is made from the graph that the policy inferred and from its reward.
+    """
     from cosim.runs.run_tables import read_tables
     from cosim.show.episode_view import view
     from cosim.show.explanation import explanation
@@ -99,8 +106,11 @@ def explain(run: Run, episode: EpisodeNumber = 0) -> None:
     next_command(f"cosim render {run} --episode {episode}")
 
 
-def gui(run: Run, episode: EpisodeNumber = 0) -> None:
-    """Replay one episode in sumo-gui, where that is installed."""
+def gui(run: RunArgument, episode: EpisodeOption = 0) -> None:
+    """Replay one episode in sumo-gui.
+
+    Needs the extra `sumo` of the installation.
+    """
     from cosim.runs.run_tables import read_tables
     from cosim.show.episode_view import view
     from cosim.show.sumo_gui import replay

@@ -8,22 +8,31 @@ from typing import Annotated
 
 import typer
 
-from cosim.process.terminal import Stages, console, errors, next_command, say
+from cosim.commands.arguments import ScenarioArgument
+from gri.terminal import ProgressDisplay, console, next_command, notice, say
 
 
 def stress(
-    scenario: Annotated[str, typer.Argument(help="Name of a shipped scenario, or path of a YAML file.")],
+    scenario: ScenarioArgument,
     policy: Annotated[
         str,
-        typer.Option(help="Policies: gri, supervised, … (checkpoints by name or path), idm, constant_velocity, sumo."),
+        typer.Option(
+            help="Policies, separated by commas: idm, constant_velocity, sumo, gri, supervised, or checkpoints."
+        ),
     ] = "gri,idm,sumo",
     perturbation: Annotated[str, typer.Option(help="Kinds of perturbation, separated by commas.")] = "headway_ratio",
-    intensity: Annotated[str, typer.Option(help="Intensities of a single kind; default: five of its own.")] = "",
-    starts: Annotated[int, typer.Option(min=1, help="Groups that are driven by every policy in every cell.")] = 100,
+    intensity: Annotated[
+        str, typer.Option(help="Intensities, separated by commas, for a single kind; default: five for each kind.")
+    ] = "",
+    starts: Annotated[int, typer.Option(min=1, help="Groups that every policy drives at every intensity.")] = 100,
     workers: Annotated[int, typer.Option(min=1, help="Simulations at a time.")] = 2,
     out: Annotated[Path | None, typer.Option(help="Folder of the results; default: runs/stress/SCENARIO.")] = None,
 ) -> None:
-    """Drive the same groups under graded perturbations by several policies; stop and continue at will."""
+    """Compare policies on the same groups under perturbations.
+
+    Every policy drives the same groups at every intensity of every perturbation.
+    The same command continues a stress test that was stopped.
+    """
     from cosim.spec.loading import load_scenario
     from cosim.stress.plan import chunks, policies_of, sweeps_of
 
@@ -36,17 +45,17 @@ def stress(
     folder = out or Path("runs", "stress", Path(scenario).stem)
     began = time.monotonic()
     try:
-        with Stages() as progress:
-            rows, made = run_stress(parts, folder, workers, progress.tell)
+        with ProgressDisplay() as show:
+            rows, made = run_stress(parts, folder, workers, show)
             command = shlex.join(["cosim", *sys.argv[1:]])
             facts = {"command": command, "worker_seconds": round(made.seconds, 1), "commits": made.commits}
             facts |= {"starts": starts, "workers": workers}
             written = publish(parts, rows, folder, facts)
     except KeyboardInterrupt:
-        errors.print(f"stopped; finished parts are kept in {folder}, the same command goes on", markup=False)
+        notice(f"stopped; finished parts are kept in {folder}, the same command continues")
         raise typer.Exit(130) from None
     console.print(f"{time.monotonic() - began:.0f} s.", *map(str, written), sep="\n  ", soft_wrap=True)
-    say(f"\nRead {folder / 'stress.md'}, look at {folder / 'figures'}.")
+    say(f"\nReport: {folder / 'stress.md'}; figures: {folder / 'figures'}")
     next_command(f"python -c \"import pandas; print(pandas.read_parquet('{folder}/estimates.parquet'))\"")
 
 

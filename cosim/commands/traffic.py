@@ -1,16 +1,16 @@
-"""The commands about traffic with nobody taken over: look at it, calibrate it, compare it with a recording."""
+"""Commands about traffic without driven groups: measure it, calibrate it, compare it with a recording."""
 
 import os
 import time
-from collections.abc import Callable
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cosim.process.terminal import Stages, console, next_command, say
+from cosim.commands.arguments import DurationOption, ScenarioArgument, SeedOption, WorkersOption
 from gri.errors import InputError
+from gri.terminal import ProgressDisplay, Show, console, next_command, say
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -18,19 +18,23 @@ if TYPE_CHECKING:
     from cosim.runs.traffic_survey import Survey
     from cosim.spec.scenario import Scenario
 
-ScenarioArgument = Annotated[str, typer.Argument(help="Name of a shipped scenario, or path of a YAML file.")]
 SITES = ["us101_car_following", "i80_car_following"]
 
 
 def traffic(
     scenarios: Annotated[
-        list[str] | None, typer.Argument(metavar="[SCENARIO]...", help="Names or paths; default: both shipped sites.")
+        list[str] | None,
+        typer.Argument(metavar="SCENARIO", help="Names or paths of scenarios; default: the two shipped sites."),
     ] = None,
-    seed: Annotated[int | None, typer.Option(help="Replace the scenario's seed.")] = None,
-    seeds: Annotated[int, typer.Option(min=1, help="How many seeds, from the scenario's on.")] = 1,
-    duration: Annotated[float, typer.Option(min=1, help="Seconds to look at after the warm-up.")] = 600,
+    seed: SeedOption = None,
+    seeds: Annotated[int, typer.Option(min=1, help="Number of seeds, counted up from the scenario's.")] = 1,
+    duration: DurationOption = 600,
 ) -> None:
-    """Simulate traffic with nobody taken over, and tell how it flows and which recorded targets it reaches."""
+    """Simulate the traffic alone and compare it with targets.
+
+    No vehicle is taken over. The table shows speeds, flows, lane use and
+    collisions beside the recorded targets of the scenario.
+    """
     from cosim.spec.loading import load_scenario, override
 
     chosen = [
@@ -39,8 +43,8 @@ def traffic(
     ]
     for name, scenario in zip(scenarios or SITES, chosen, strict=True):
         variants = [override(scenario, {"seed": scenario.seed + k}) for k in range(seeds)]
-        with Stages() as progress:
-            found = [_survey(variant, duration, progress, f"seed {variant.seed}") for variant in variants]
+        with ProgressDisplay() as show:
+            found = [_survey(variant, duration, show, f"seed {variant.seed}") for variant in variants]
         from cosim.studies.traffic_targets import figures_of, table_of
 
         console.print(table_of(name, scenario, [figures_of(v, s) for v, s in zip(variants, found, strict=True)]))
@@ -50,16 +54,27 @@ def traffic(
 def calibrate(
     scenario: ScenarioArgument,
     free: Annotated[
-        str, typer.Option(help="Numbers to search: tau, limit (all limits by one factor), limit.K (the K-th).")
+        str,
+        typer.Option(
+            help="Parameters to search, separated by commas: tau (time headway of the drivers), limit (one factor for"
+            " all speed limits of the bottleneck), limit.K (its limit in the K-th interval)."
+        ),
     ] = "tau,limit",
-    target_speed: Annotated[float | None, typer.Option(help="Replace the target of the mean speed [km/h].")] = None,
-    evaluations: Annotated[int, typer.Option(min=1, help="Settings to try in all.")] = 30,
-    seeds: Annotated[int, typer.Option(min=1, help="Simulations per setting, from the scenario's seed on.")] = 3,
-    duration: Annotated[float, typer.Option(min=1, help="Seconds to look at after the warm-up.")] = 900,
-    workers: Annotated[int | None, typer.Option(min=1, help="Simulations at a time; default: one per core.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder; default: runs/calibrate/NAME.")] = None,
+    target_speed: Annotated[
+        float | None, typer.Option(help="Target of the mean speed [km/h] to use instead of the scenario's.")
+    ] = None,
+    evaluations: Annotated[int, typer.Option(min=1, help="Number of parameter settings to try.")] = 30,
+    seeds: Annotated[
+        int, typer.Option(min=1, help="Simulations per setting, with seeds counted up from the scenario's.")
+    ] = 3,
+    duration: DurationOption = 900,
+    workers: WorkersOption = None,
+    out: Annotated[Path | None, typer.Option(help="Folder of the results; default: runs/calibrate/NAME.")] = None,
 ) -> None:
-    """Search drivers and bottleneck for traffic like the recorded one; the same command goes on where it stopped."""
+    """Fit drivers and speed limits to the recorded targets.
+
+    The same command continues a search that was stopped.
+    """
     from cosim.spec.loading import load_scenario
 
     chosen = _with_target(_simulated(load_scenario(scenario), scenario), target_speed)
@@ -70,12 +85,15 @@ def calibrate(
     numbers = tuple(chosen.seed + k for k in range(seeds))
     search = Search(chosen, parameters(free.split(","), chosen.traffic), numbers, duration, folder)
     began = time.monotonic()
-    with Stages() as progress:
-        best = calibrate(search, evaluations, workers or os.cpu_count() or 1, progress.tell)
+    with ProgressDisplay() as show:
+        best = calibrate(search, evaluations, workers or os.cpu_count() or 1, show)
     frame_of(best.runs).to_csv(folder / "seeds.csv", index=False)
     console.print(table_of(f"{scenario}, best", chosen, best.runs))
     values = ", ".join(f"{p.name} = {value:g}" for p, value in zip(search.free, best.values, strict=True))
-    say(f"{values}; misfit {best.misfit:.3f} (below 1: within the tolerances). {time.monotonic() - began:.0f} s.")
+    say(
+        f"{values}; misfit {best.misfit:.3f} (below 1: within the tolerances of the targets)."
+        f" {time.monotonic() - began:.0f} s."
+    )
     say(f"Traffic file: {folder}/traffic.yaml")
     next_command(f"cosim realism {scenario} --against RECORDING")
 
@@ -84,7 +102,7 @@ def _simulated(scenario: "Scenario", name: str) -> "Scenario":
     from cosim.spec.scenario import Simulated
 
     if not isinstance(scenario.background, Simulated):
-        raise InputError(f"{name}: its background is a recording, which has no demand; choose a simulated one")
+        raise InputError(f"{name}: got a scenario whose background is a recording, which has no demand; choose another")
     return scenario
 
 
@@ -100,23 +118,32 @@ def _with_target(scenario: "Scenario", target_speed: float | None) -> "Scenario"
 
 
 def realism(
-    subject: Annotated[str, typer.Argument(metavar="SCENARIO|RUN", help="A scenario, or the folder of a run.")],
-    against: Annotated[Path, typer.Option(help="NGSIM file, scene file, or Parquet table of samples.")],
+    subject: Annotated[str, typer.Argument(metavar="SCENARIO|RUN", help="A scenario, or a run folder.")],
+    against: Annotated[
+        Path, typer.Option(help="The recording: an NGSIM file, a scene file, or a Parquet table of samples.")
+    ],
     stretch: Annotated[
-        tuple[float, float] | None, typer.Option(help="Only this stretch of the simulated road [m], FROM TO.")
+        tuple[float, float] | None,
+        typer.Option(metavar="FROM TO", help="Use only this stretch of the simulated road [m]."),
     ] = None,
-    lanes: Annotated[str | None, typer.Option(help="Only these lanes, counted from the left, such as 2,3,4.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Replace the scenario's seed.")] = None,
-    duration: Annotated[float, typer.Option(min=1, help="Seconds to look at after the warm-up.")] = 600,
+    lanes: Annotated[
+        str | None, typer.Option(help="Use only these lanes, counted from the left, such as 2,3,4.")
+    ] = None,
+    seed: SeedOption = None,
+    duration: DurationOption = 600,
     out: Annotated[Path | None, typer.Option(help="Folder to write; default: a new one in runs/.")] = None,
 ) -> None:
-    """Compare speeds, accelerations, headways and time gaps with a recording: distances, intervals, a picture."""
+    """Compare simulated traffic with a recording.
+
+    Writes the distances between the distributions of speeds, accelerations,
+    headways and time gaps, with 95 % intervals, and a picture.
+    """
     from cosim.runs.run_folder import next_folder, run_folder
 
     is_run = Path(subject, "steps.parquet").is_file()
     began = time.monotonic()
     if is_run and (stretch or seed is not None):
-        raise InputError("--stretch and --seed are for scenarios; this is a run folder")
+        raise InputError(f"{subject}: --stretch and --seed are for scenarios, and this is a run folder; leave them out")
     read = _of_run if is_run else lambda name: _of_scenario(name, seed, duration)
     chosen = _lanes(lanes)
     folder = out or next_folder(Path("runs"), f"{Path(subject).stem}-realism")
@@ -155,19 +182,22 @@ def _of_scenario(name: str, seed: int | None, duration: float) -> "pd.DataFrame"
     from cosim.spec.loading import load_scenario, override
 
     scenario = override(load_scenario(name), {} if seed is None else {"seed": seed})
-    with Stages() as progress:
-        found = _survey(scenario, duration, progress, "traffic")
+    with ProgressDisplay() as show:
+        found = _survey(scenario, duration, show, "traffic")
     from cosim.studies.traffic_samples import with_headways
 
     return with_headways(found.samples.assign(source="simulated"))
 
 
-def _survey(scenario: "Scenario", duration: float, progress: Stages, stage: str) -> "Survey":
-    """A survey in a process of its own, whose progress is told under that name."""
+def _survey(scenario: "Scenario", duration: float, show: Show, stage: str) -> "Survey":
+    """Survey the traffic in a process of its own; its progress is shown under the name of the stage."""
     from cosim.process.worker_process import run_in_worker
 
-    tell: Callable[..., None] = lambda _, done, of: progress.tell(stage, done, of)  # noqa: E731
     with TemporaryDirectory() as scratch:
         return run_in_worker(
-            "cosim.runs.run_job:survey_job", scenario, duration, log=Path(scratch, "worker.log"), tell=tell
+            "cosim.runs.run_job:survey_job",
+            scenario,
+            duration,
+            log=Path(scratch, "worker.log"),
+            tell=lambda _, done, total: show(stage, done, total),
         )

@@ -1,4 +1,4 @@
-"""Running something in a copy of this process, SUMO and all, while the original goes on.
+"""Run a function in a copy of this process, its simulation included, while the original waits or goes on.
 
 A copy made by `os.fork` shares the past with the original bit for bit and costs milliseconds. Systems without fork
 replay the past from t = 0 instead (see `cosim.loop.closed_loop`); both give the same episodes.
@@ -6,12 +6,13 @@ replay the past from t = 0 instead (see `cosim.loop.closed_loop`); both give the
 
 import os
 import pickle
-import signal
 import traceback
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
+
+from cosim.process.failures import exit_cause
 
 T = TypeVar("T")
 
@@ -19,7 +20,7 @@ CAN_FORK = hasattr(os, "fork")
 
 
 class BranchError(RuntimeError):
-    """The copy failed or died."""
+    """The copy raised an exception or died."""
 
 
 @dataclass(frozen=True)
@@ -30,13 +31,12 @@ class Branch(Generic[T]):
     pipe: int
 
     def result(self) -> T:
-        """What the function returned in the copy; BranchError if it raised or the process died."""
+        """What the function returned in the copy. Errors: `BranchError` if it raised or the process died."""
         with os.fdopen(self.pipe, "rb") as stream:
             answer = stream.read()
         _, status = os.waitpid(self.pid, 0)
         if not answer:
-            number = os.waitstatus_to_exitcode(status)
-            cause = signal.Signals(-number).name if number < 0 else f"exit code {number}"
+            cause = exit_cause(os.waitstatus_to_exitcode(status))
             raise BranchError(f"the branched simulation died without an answer ({cause})")
         failed, value = pickle.loads(answer)
         if failed:

@@ -1,4 +1,4 @@
-"""What a process does about itself; light to import."""
+"""What a process does or measures about itself; light to import."""
 
 import os
 import sys
@@ -12,8 +12,13 @@ def print_to(path: Path) -> None:
         os.dup2(stream.fileno(), 2)
 
 
+def cpu_seconds() -> float:
+    """CPU time [s] of this process and of its ended children."""
+    return sum(os.times()[:4])
+
+
 def peak_mb() -> float:
-    """Peak resident memory of this process; 0 where the system does not tell."""
+    """Peak resident memory of this process [MB]; 0 where the system does not measure it."""
     try:
         import resource
     except ImportError:  # Windows

@@ -1,9 +1,9 @@
-"""Runs on a Ray cluster, or on a Ray started here: the same tasks and answers as on this machine.
+"""Tasks on a Ray cluster, or on a Ray started here: the same tasks and answers as on this machine.
 
-Ray does the scheduling; on whatever machine it starts a run, a worker like those of `cosim.process.task_pool` does it
-in a process of its own. A run writes into a scratch folder there and its files travel back as bytes, so that the
-machines need no common file system. They do need the same installation, and own nets and checkpoints at the same paths;
-a run refuses to start where its key comes out differently.
+Ray does the scheduling. On the machine that it chooses, a worker like those of `cosim.process.task_pool` does the task
+in a process of its own. The task writes into a scratch folder there and its files travel back as bytes, so the machines
+need no common file system. They do need the same installation, and own nets and checkpoints at the same paths; a run of
+a batch refuses to start where its key comes out differently.
 """
 
 import os
@@ -15,23 +15,19 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from cosim.process.task import Answer, Answers, Task
-from cosim.process.task_pool import PERFORM, Worker, living
+from cosim.process.task_pool import Worker, alive_or_new
 from gri.errors import InputError
 
-Parcel = tuple[Answer, dict[str, bytes]]  # an answer and the files of its run folder
+Parcel = tuple[Answer, dict[str, bytes]]  # an answer and the files of the folder of its task
 
 
 def run_ray(
-    queue: deque[Task],
-    time_limit: float,
-    *,
-    workers: int | None = None,
-    address: str | None = None,
-    perform: str = PERFORM,
+    queue: deque[Task], time_limit: float, *, workers: int | None = None, address: str | None = None
 ) -> Answers:
     """Do the tasks of a queue, which may grow between answers; like `run_local`, on as many cores as Ray has.
 
-    `workers` limits the runs under way at once, and the cores of a Ray that is started here.
+    `workers` limits the tasks under way at once, and the cores of a Ray that is started here. Without an address, Ray
+    is started here. Errors: `InputError` where Ray is not installed.
     """
     ray = _ray()
     ray.init(address=address, num_cpus=None if address else workers, include_dashboard=False, log_to_driver=False)
@@ -42,10 +38,10 @@ def run_ray(
             most = workers or 2 * int(ray.cluster_resources().get("CPU", 1))
             while queue and len(waiting) < most:
                 task = queue.popleft()
-                waiting[remote.remote(task, time_limit, perform, os.getcwd())] = task
+                waiting[remote.remote(task, time_limit, os.getcwd())] = task
             ready, _ = ray.wait(list(waiting), num_returns=1)
             for reference in ready:
-                yield _arrived(ray, reference, waiting.pop(reference))
+                yield _unpacked(ray, reference, waiting.pop(reference))
     finally:
         ray.shutdown()
 
@@ -57,31 +53,31 @@ def _ray() -> Any:
         raise InputError("--executor ray: Ray is not installed; install gri-cosim[cluster]") from None
 
 
-_own: Worker | None = None  # of this process of Ray's, which does one task after the other
+_worker: Worker | None = None  # of this process of Ray's, which does one task after the other
 
 
-def _perform(task: Task, time_limit: float, perform: str, folder: str) -> Parcel:
-    """One run on a machine of the cluster: a scratch folder here, its files back as bytes."""
-    global _own
+def _perform(task: Task, time_limit: float, folder: str) -> Parcel:
+    """Do a task on a machine of the cluster, in a scratch folder, and return its files as bytes."""
+    global _worker
     if Path(folder).is_dir():
         os.chdir(folder)  # names of own files are relative to where the command was given
     with TemporaryDirectory() as scratch:
-        _own = living(_own, perform)
-        answer = _own.do(replace(task, folder=Path(scratch, "run")), time_limit)
+        _worker = alive_or_new(_worker)
+        answer = _worker.perform(replace(task, folder=Path(scratch, "run")), time_limit)
         files = {path.name: path.read_bytes() for path in Path(scratch, "run").glob("*")}
     return replace(answer, folder=task.folder), files if answer.kind == "done" else {}
 
 
-def _arrived(ray: Any, reference: Any, task: Task) -> Answer:
-    """The answer of an ended run, its files unpacked."""
+def _unpacked(ray: Any, reference: Any, task: Task) -> Answer:
+    """The answer of an ended task, its files written into the folder of the task."""
     try:
         answer, files = ray.get(reference)
     except ray.exceptions.RayError as error:
-        return Answer(task.run, task.folder, "died", f"Ray lost the run: {str(error).strip().splitlines()[0]}")
+        return Answer(task.name, task.folder, "died", f"Ray lost the task: {str(error).strip().splitlines()[0]}")
     try:
         task.folder.mkdir(parents=True)
         for name, content in files.items():
             (task.folder / name).write_bytes(content)
     except OSError as error:
-        return Answer(task.run, task.folder, "error", f"cannot be written here: {error.strerror}")
+        return Answer(task.name, task.folder, "error", f"cannot be written here: {error.strerror}")
     return answer

@@ -1,43 +1,70 @@
-"""What is asked of a worker and what it answers; light to import."""
+"""A piece of work for a worker process, its answer, and how a process does it; light to import."""
 
-from collections.abc import Generator, Mapping
+import traceback
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Literal
 
-from cosim.spec.scenario import Scenario
+from cosim.process.own_process import cpu_seconds, peak_mb, print_to
+from gri.errors import InputError
 
-LOG = "sumo.log"  # of SUMO and of whatever else a run prints
+LOG = "sumo.log"  # in the folder of a task: what SUMO and everything else print
 
 
 @dataclass(frozen=True)
 class Task:
-    """One attempt at a run: the scenario, its labels and key, and the folder to make and write."""
+    """One attempt at a piece of work: call `function(folder, *arguments)`.
 
-    run: str
-    scenario: Scenario
-    labels: Mapping[str, Any]
-    key: str
+    The function is named as "module:function", so that the process that asks need not import it. The folder does not
+    exist yet; the worker makes it. Arguments and result must be picklable.
+    """
+
+    name: str  # of the work, the same for every attempt
+    function: str
+    arguments: tuple[Any, ...]
     folder: Path
 
 
 @dataclass(frozen=True)
 class Answer:
-    """How an attempt ended. `kind` says why it failed; a bad input fails again however often it is tried."""
+    """How an attempt ended.
 
-    run: str
+    `kind` is "done", or why it failed: "input" (bad input, which fails again however often it is tried), "error" (an
+    exception), "died" (the process ended without an answer) or "timeout". `value` is what the function returned.
+    """
+
+    name: str
     folder: Path
     kind: Literal["done", "input", "error", "died", "timeout"]
     message: str = ""
-    seconds: float = 0.0
-    peak_mb: float = 0.0  # resident memory of the process of the run
+    value: Any = None
+    seconds: float = 0.0  # from the beginning to the answer
+    cpu_seconds: float = 0.0  # of the process of the task and of its children
+    peak_mb: float = 0.0  # resident memory of the process of the task
 
 
-Answers = Generator[Answer, None, None]  # closing it ends whatever is under way
+Answers = Generator[Answer, None, None]  # closing it ends all tasks under way
 
 
-def last_words(folder: Path) -> str:
-    """The last lines of a run's log."""
-    path = folder / LOG
-    lines = path.read_text(errors="replace").splitlines() if path.is_file() else []
-    return "; ".join(line.strip() for line in lines[-3:] if line.strip())
+def function_named(name: str) -> Callable[..., Any]:
+    """The function of a name "module:function"; imports the module."""
+    module, _, function = name.partition(":")
+    return getattr(import_module(module), function)
+
+
+def perform(task: Task) -> Answer:
+    """Do a task in this process, which prints into the folder of the task from now on; failures become answers."""
+    try:
+        task.folder.mkdir(parents=True)
+        print_to(task.folder / LOG)
+        value = function_named(task.function)(task.folder, *task.arguments)
+    except InputError as error:
+        return Answer(task.name, task.folder, "input", str(error))
+    except OSError as error:  # such as a full disk, which would not hold a traceback either
+        return Answer(task.name, task.folder, "error", f"{error.strerror or error} ({type(error).__name__})")
+    except Exception as error:
+        traceback.print_exc()
+        return Answer(task.name, task.folder, "error", f"{type(error).__name__}: {error}")
+    return Answer(task.name, task.folder, "done", value=value, cpu_seconds=cpu_seconds(), peak_mb=peak_mb())

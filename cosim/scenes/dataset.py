@@ -29,7 +29,6 @@ from gri.data.scene_file.schema import Header, joining
 from gri.errors import InputError
 
 FILE = "scenes.parquet"
-WORKER = "cosim.scenes.seed_task:perform"
 LONGEST = 24 * 3600.0  # [s] that a seed may take
 PATIENCE = 10  # seeds without a single scene of a kind before giving up
 Tell = Callable[[int, int], None]  # (scenes so far, wanted)
@@ -96,7 +95,7 @@ def make(order: Order, folder: Path, workers: int, tell: Tell) -> Made:
     while (enough := store.enough()) is None:
         queue: deque[Task] = deque()
         _refill(queue, store, workers)
-        with closing(run_local(queue, LONGEST, workers=workers, perform=WORKER)) as answers:
+        with closing(run_local(queue, LONGEST, workers=workers)) as answers:
             for answer in answers:
                 store.keep(answer)
                 tell(store.scenes(), order.total)
@@ -141,18 +140,25 @@ class Store:
         """The next seed that is neither there nor under way."""
         k = next(k for k in range(len(self._asked) + 1) if k not in self._asked)
         self._asked.add(k)
-        labels = {"spec": msgspec.json.encode(self.order.spec(k))}
-        return Task(str(k), self.order.scenario, labels, self._key(k), self._seeds / f".{k}.{os.getpid()}")
+        folder = self._seeds / f".{k}.{os.getpid()}"
+        return Task(str(k), "cosim.scenes.seed_task:seed_task", (self.order.spec(k),), folder)
 
     def keep(self, answer: Answer) -> None:
         """Put what a worker made on the store. Errors: `InputError` or RuntimeError with what went wrong."""
+        k = int(answer.name)
         if answer.kind != "done":
             shutil.rmtree(answer.folder, ignore_errors=True)
-            message = f"seed {self.order.scenario.seed + int(answer.run)}: {answer.message}"
+            message = f"seed {self.order.scenario.seed + k}: {answer.message}"
             raise InputError(message) if answer.kind == "input" else RuntimeError(message)
-        brought = msgspec.json.decode((answer.folder / FIGURES).read_bytes(), type=SeedResult)
-        os.replace(answer.folder, self._seeds / answer.run)
-        self.brought[int(answer.run)] = brought
+        seconds = round(answer.cpu_seconds, 3)
+        brought = SeedResult(key=self._key(k), figures=answer.value, cpu_seconds=seconds, peak_mb=answer.peak_mb)
+        try:
+            (answer.folder / FIGURES).write_bytes(msgspec.json.encode(brought))
+            os.replace(answer.folder, self._seeds / answer.name)
+        except OSError as error:
+            shutil.rmtree(answer.folder, ignore_errors=True)
+            raise RuntimeError(f"seed {self.order.scenario.seed + k}: cannot be kept: {error.strerror}") from error
+        self.brought[k] = brought
         if len(self.brought) >= PATIENCE:
             self._check_kinds()
 

@@ -1,1 +1,4 @@
-"""The `gri` command. Begin with `cli`."""
+"""The `gri` command: make scenes, train and score models, reproduce the paper's tables, cut scenes from NGSIM files.
+
+One file per group of subcommands; each command imports what it needs. Begin with `cli`.
+"""

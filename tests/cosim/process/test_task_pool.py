@@ -10,43 +10,46 @@ import pytest
 
 from cosim.process.task import Task
 from cosim.process.task_pool import run_local
-from cosim.spec.loading import load_scenario
 
 FAULTS = '''
 import os, signal, time
-from cosim.process.task import Answer
+from gri.errors import InputError
 
-def perform(task):
-    """Do what the name of the run says."""
-    task.folder.mkdir()
-    (task.folder / "sumo.log").write_text("Error: the last straw")
-    (task.folder / "pid").write_text(f"{os.getpid()} {os.getppid()}")
-    what = task.run.split("-")[0]
-    if what == "crash":
+def act(folder, kind, number):
+    """Do what `kind` says."""
+    print("Error: the last straw", flush=True)
+    (folder / "pid").write_text(f"{os.getpid()} {os.getppid()}")
+    if kind == "crash":
         os.kill(os.getpid(), signal.SIGSEGV)
-    if what == "hang":
+    if kind == "hang":
         time.sleep(600)
-    if what == "murder":
+    if kind == "murder":
         os.kill(os.getppid(), signal.SIGKILL)
         time.sleep(600)
-    if what == "exit":
+    if kind == "exit":
         os._exit(3)
-    time.sleep(0.05)
-    return Answer(task.run, task.folder, "done")
+    if kind == "refuse":
+        raise InputError("no such net")
+    if kind == "raise":
+        raise ZeroDivisionError("oh")
+    if kind == "full":
+        raise OSError(28, "No space left on device")
+    began = time.process_time()
+    while time.process_time() - began < 0.05:
+        pass
+    return 10 * number
 '''
 
 
-@pytest.fixture
-def perform(tmp_path, monkeypatch):
-    """A stand-in for a run, in a module that spawned processes find, too."""
+@pytest.fixture(autouse=True)
+def faults(tmp_path, monkeypatch):
+    """A stand-in for the work, in a module that spawned processes find, too."""
     (tmp_path / "faults.py").write_text(FAULTS)
     monkeypatch.syspath_prepend(tmp_path)
-    return "faults:perform"
 
 
-def tasks(folder: Path, *names: str) -> deque[Task]:
-    scenario = load_scenario("us101_car_following")
-    return deque(Task(f"{name}-{k}", scenario, {}, "", folder / f"{name}-{k}") for k, name in enumerate(names))
+def tasks(folder: Path, *kinds: str) -> deque[Task]:
+    return deque(Task(f"{kind}-{k}", "faults:act", (kind, k), folder / f"{kind}-{k}") for k, kind in enumerate(kinds))
 
 
 def pids(folder: Path) -> list[list[int]]:
@@ -63,41 +66,61 @@ def gone(pid: int) -> bool:
     return False
 
 
-def test_faults_cost_their_own_task_only(tmp_path, perform):
+def test_faults_cost_their_own_task_only(tmp_path):
     names = ["fine", "crash", "fine", "murder", "exit", "fine", "hang", "fine"]
-    answers = list(run_local(tasks(tmp_path, *names), 3.0, workers=2, perform=perform))
-    assert Counter((answer.run.split("-")[0], answer.kind) for answer in answers) == {
+    answers = list(run_local(tasks(tmp_path, *names), 3.0, workers=2))
+    assert Counter((answer.name.split("-")[0], answer.kind) for answer in answers) == {
         ("fine", "done"): 4, ("crash", "died"): 1, ("murder", "died"): 1, ("exit", "died"): 1, ("hang", "timeout"): 1,
     }  # fmt: skip
-    told = {answer.run.split("-")[0]: answer.message for answer in answers}
-    assert "SIGSEGV" in told["crash"]
-    assert "SIGKILL" in told["murder"]
-    assert "exit code 3" in told["exit"]
-    assert "not finished after 3 s" in told["hang"]
-    assert all("the last straw" in told[name] for name in ("crash", "murder", "exit", "hang"))
+    message = {answer.name.split("-")[0]: answer.message for answer in answers}
+    assert "SIGSEGV" in message["crash"]
+    assert "SIGKILL" in message["murder"]
+    assert "exit code 3" in message["exit"]
+    assert "not finished after 3 s" in message["hang"]
+    assert all("the last straw" in message[name] for name in ("crash", "murder", "exit", "hang"))
     assert all(gone(pid) for pair in pids(tmp_path) for pid in pair)
 
 
-def test_every_task_has_a_process_of_its_own(tmp_path, perform):
-    list(run_local(tasks(tmp_path, *["fine"] * 6), 60.0, workers=2, perform=perform))
+def test_an_answer_carries_the_value_and_its_cost(tmp_path):
+    answers = {answer.name: answer for answer in run_local(tasks(tmp_path, "fine", "fine"), 60.0, workers=1)}
+    assert {name: answer.value for name, answer in answers.items()} == {"fine-0": 0, "fine-1": 10}
+    for answer in answers.values():
+        assert (answer.kind, answer.message) == ("done", "")
+        assert 0.02 < answer.cpu_seconds < 5
+        assert answer.peak_mb > 5
+        assert answer.seconds > 0.04
+
+
+def test_exceptions_become_answers_and_stand_in_the_log(tmp_path):
+    answers = {answer.kind + answer.name[0]: answer for answer in run_local(
+        tasks(tmp_path, "refuse", "raise", "full"), 60.0, workers=1
+    )}  # fmt: skip
+    assert answers["inputr"].message == "no such net; last lines of its log: Error: the last straw"
+    assert answers["errorr"].message.startswith("ZeroDivisionError: oh; last lines of its log: ")
+    assert "ZeroDivisionError" in (tmp_path / "raise-1/sumo.log").read_text()
+    assert answers["errorf"].message.startswith("No space left on device (OSError)")
+
+
+def test_every_task_has_a_process_of_its_own(tmp_path):
+    list(run_local(tasks(tmp_path, *["fine"] * 6), 60.0, workers=2))
     own, workers = zip(*pids(tmp_path), strict=True)
     assert len(set(own)) == 6
     assert len(set(workers)) == 2
     assert os.getpid() not in own + workers
 
 
-def test_the_queue_may_grow_between_answers(tmp_path, perform):
+def test_the_queue_may_grow_between_answers(tmp_path):
     queue, seen = tasks(tmp_path, "fine"), []
-    for answer in run_local(queue, 60.0, workers=2, perform=perform):
-        seen.append(answer.run)
+    for answer in run_local(queue, 60.0, workers=2):
+        seen.append(answer.name)
         if len(seen) < 4:
             (tmp_path / str(len(seen))).mkdir()
             queue.extend(tasks(tmp_path / str(len(seen)), "fine"))
     assert len(seen) == 4
 
 
-def test_leaving_early_leaves_no_process(tmp_path, perform):
-    answers = run_local(tasks(tmp_path, "fine", "hang", "hang"), 60.0, workers=2, perform=perform)
+def test_leaving_early_leaves_no_process(tmp_path):
+    answers = run_local(tasks(tmp_path, "fine", "hang", "hang"), 60.0, workers=2)
     assert next(answers).kind == "done"
     time.sleep(0.5)
     answers.close()
@@ -105,11 +128,11 @@ def test_leaving_early_leaves_no_process(tmp_path, perform):
     assert all(gone(pid) for pair in pids(tmp_path) for pid in pair)
 
 
-def test_workers_end_with_the_command_even_if_it_is_killed(tmp_path, perform):
+def test_workers_end_with_the_command_even_if_it_is_killed(tmp_path):
     pid = os.fork()
     if not pid:
         try:
-            list(run_local(tasks(tmp_path, "hang"), 600.0, workers=1, perform=perform))
+            list(run_local(tasks(tmp_path, "hang"), 600.0, workers=1))
         finally:
             os._exit(0)
     for _ in range(600):

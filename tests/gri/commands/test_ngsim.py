@@ -5,7 +5,9 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from gri.commands import ngsim
 from gri.data.ngsim.extract import scene_file
+from gri.data.ngsim.rules import Rules
 from gri.errors import InputError
 from tests.gri.commands.test_cli import run
 from tests.gri.data.ngsim.conftest import as_text, platoon
@@ -35,14 +37,22 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_from_an_official_file_to_a_scored_model(here: Path):
     official = "trajectories-0750am-0805am.txt"
-    assert f"next: gri ngsim scenes {official}" in run("ngsim", "inspect", official)
-    assert "next: gri train ngsim_car_following --ngsim scenes.parquet" in run(
+    assert f"Next: gri ngsim scenes {official}" in (report := run("ngsim", "inspect", official))
+    assert "[m]" in report, "units are no markup"
+    assert "[m/s]" in report
+    assert "Next: gri train ngsim_car_following --ngsim scenes.parquet" in run(
         "ngsim", "scenes", official, "--out", "scenes.parquet"
     )
-    assert "next: gri evaluate runs/tiny_recorded-s0.pt" in run("train", "tiny.yaml", "--ngsim", "scenes.parquet")
+    assert "Next: gri evaluate runs/tiny_recorded-s0.pt" in run("train", "tiny.yaml", "--ngsim", "scenes.parquet")
     scored = run("evaluate", "runs/tiny_recorded-s0.pt", "--scene-file", "scenes.parquet", "--split", "test")
     assert "1 test scenes" in scored
     assert "RMSE_v" in scored
+
+
+def test_default_options_are_the_rules():
+    rules = Rules()
+    assert (rules.smoothing.window, rules.smoothing.order) == (ngsim.WINDOW, ngsim.ORDER)
+    assert (rules.spacing, rules.training_stride) == (ngsim.SPACING, ngsim.TRAINING_STRIDE)
 
 
 def test_the_released_model_is_scored_on_any_file_of_the_official_layout(here: Path):

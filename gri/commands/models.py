@@ -1,0 +1,181 @@
+"""The commands about models: make scenes, train, evaluate."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import msgspec
+import typer
+from rich.markup import escape
+from rich.table import Table
+
+from gri import resources
+from gri.errors import InputError
+from gri.terminal import ProgressDisplay, console, next_command, say
+
+if TYPE_CHECKING:
+    from gri.data.store import Splits
+    from gri.evaluation.evaluate import Evaluation
+    from gri.training.train import TrainConfig
+
+ConfigArgument = Annotated[
+    str, typer.Argument(metavar="CONFIG", help="A YAML file, or the name of one in scenarios/train.")
+]
+ScenesOption = Annotated[Path, typer.Option("--scenes", help="Folder of the synthetic scenes.")]
+SCENES = Path("runs/scenes")
+
+
+def data(
+    config: ConfigArgument,
+    scenes: ScenesOption = SCENES,
+    scene_file: Annotated[
+        Path | None,
+        typer.Option(help="Scene file to write as well, for mixing with scenes of SUMO and recordings."),
+    ] = None,
+) -> None:
+    """Make the synthetic scenes of a configuration.
+
+    An expert that is trained on the true reward drives the vehicles.
+    """
+    chosen = _read(config)
+    from gri.data.export import write_synthetic
+    from gri.data.store import scenes_path
+
+    splits = _scenes(chosen, scenes)
+    sizes = f"{len(splits.train)} training, {len(splits.validation)} validation and {len(splits.test)} test"
+    say(f"{sizes} scenes in {scenes_path(chosen.data, scenes)}")
+    if scene_file is not None:
+        write_synthetic(scene_file, chosen.data, splits)
+        say(f"and in {scene_file}")
+    next_command(f"gri train {config}")
+
+
+def train(
+    config: ConfigArgument,
+    seed: Annotated[int, typer.Option(help="Seed of the initial weights and of the training.")] = 0,
+    out: Annotated[Path | None, typer.Option(help="Checkpoint to write; default: runs/NAME-sSEED.pt.")] = None,
+    scenes: ScenesOption = SCENES,
+    ngsim: Annotated[
+        Path | None,
+        typer.Option(
+            "--ngsim",
+            "--scene-file",
+            help="Scene file of `gri ngsim scenes` or `cosim scenes`, or NGSIM files to cut; for the configurations"
+            " ngsim_* and sumo_*.",
+        ),
+    ] = None,
+) -> None:
+    """Train a model and write its checkpoint."""
+    chosen = _read(config)
+    from gri import checkpoint
+    from gri.training.train import train as train_model
+
+    path = out or Path("runs") / f"{chosen.name}-s{seed}.pt"
+    splits = _scenes(chosen, scenes) if ngsim is None else _recorded(chosen, ngsim, scenes)
+    with ProgressDisplay() as progress:
+        trained = train_model(chosen, splits, seed, progress)
+    checkpoint.save(path, trained.model, trained.reward, trained.provenance)
+    say(f"trained in {trained.provenance['seconds']} s, wrote {path}")
+    next_command(f"gri evaluate {path}")
+
+
+def evaluate(
+    path: Annotated[
+        Path, typer.Argument(metavar="CHECKPOINT", help="A checkpoint file, or the name of a released one.")
+    ],
+    scenes: ScenesOption = SCENES,
+    scene_file: Annotated[
+        Path | None,
+        typer.Option(help="Scene file of `gri ngsim scenes` or `cosim scenes` to use instead of the test scenes."),
+    ] = None,
+    split: Annotated[str | None, typer.Option(help="Split of the scene file to use; default: all scenes.")] = None,
+) -> None:
+    """Score a checkpoint on test scenes."""
+    one_thread()
+    from gri import checkpoint
+    from gri.data.recorded import scenes_to_test
+    from gri.evaluation import evaluate as evaluation
+    from gri.evaluation.true_relations import compare_with_truth, truth_tables
+    from gri.training.train import TrainConfig
+
+    path = resources.checkpoint_at(path)
+    model, made = checkpoint.load(path), checkpoint.provenance(path)
+    if "config" not in made:
+        raise InputError(
+            f"{path}: the checkpoint does not say which scenes it was trained on; evaluate one that `gri train` wrote"
+        )
+    config = msgspec.convert(made["config"], TrainConfig)
+    found = None
+    if scene_file is None:
+        test = _scenes(config, scenes).test
+    elif config.data.tested_on is not None:
+        test, found, drawn = scenes_to_test(scene_file, config.data.tested_on, split)
+        if drawn:
+            say(f"left out: {drawn} scenes with drawn lateral motion, which are for training only")
+    else:
+        raise InputError(
+            f"{path}: the checkpoint was trained on scenes of range {config.data.range}, and no scene file has such"
+            " scenes; leave out --scene-file, or give a checkpoint of recorded traffic, of SUMO's traffic (sumo_*), or"
+            " of scenes like SUMO's (us101, highway_merge)"
+        )
+    console.print(_table(path.stem, evaluation.evaluate(model, test), len(test)))
+    infers = model.encoder is not None
+    if infers and found is not None and found.hypothesis is not None and found.unambiguous is not None:
+        compared = compare_with_truth(
+            evaluation.driving_graph(model, test).map, test.graph, found.hypothesis, found.unambiguous
+        )
+        for table in truth_tables(compared, model.config.vocabulary):
+            console.print(table)
+    next_command("cosim --help")
+
+
+def one_thread() -> None:
+    """Let torch use one thread: the matrices are small, and more threads are slower."""
+    import torch
+
+    torch.set_num_threads(1)
+
+
+def _read(config: str) -> "TrainConfig":
+    """The configuration of a YAML file, or of a name in scenarios/train."""
+    path = Path(config)
+    if not path.suffix:
+        shipped = resources.shipped("scenarios", "train")
+        names = sorted(file.stem for file in shipped.glob("*.yaml"))
+        if config not in names:
+            raise InputError(f"got {config}, wanted a YAML file or one of {', '.join(names)}")
+        path = shipped / f"{config}.yaml"
+    one_thread()
+    from gri.training.train import read_train_config
+
+    return read_train_config(path)
+
+
+def _scenes(config: "TrainConfig", folder: Path) -> "Splits":
+    from gri.data.store import scenes_of
+
+    with ProgressDisplay() as progress:
+        return scenes_of(config.data, folder, progress)
+
+
+def _recorded(config: "TrainConfig", source: Path, folder: Path) -> "Splits":
+    from gri.data.ngsim.extract import scene_file
+    from gri.data.store import recorded_splits
+
+    if config.data.recorded is None:
+        raise InputError(f"got --ngsim, but {config.name} learns from synthetic scenes; leave it out")
+    with ProgressDisplay() as progress:
+        return recorded_splits(config.data.recorded, [scene_file(source, folder, progress)])
+
+
+def _table(name: str, result: "Evaluation", scenes: int) -> Table:
+    table = Table("metric", "mean ± std over scenes", "95 % ±", title=escape(f"{name}, {scenes} test scenes"))
+    rows = {f"RMSE_{name} [{'m/s' if name == 'v' else 'm'}]": value for name, value in result.rmse.items()}
+    rows["accuracy, 6 edges"] = result.accuracy
+    rows["accuracy, 4 edges into driven vehicles"] = result.driven_accuracy
+    if result.chain_accuracy is not None:
+        rows[f"accuracy in {result.chain_accuracy.scenes} scenes with the paper's graph"] = result.chain_accuracy
+    for metric, value in rows.items():
+        table.add_row(escape(metric), str(value), f"{value.half_width:.4f}")
+    for kind, value in result.f1.items():
+        table.add_row(f"F1 of type {kind}", f"{value:.4f}", "")
+    return table

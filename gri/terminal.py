@@ -1,0 +1,117 @@
+"""What the commands `gri` and `cosim` show: results on standard output, progress and errors on standard error.
+
+`say`, `next_command` and `fail` write text; `ProgressDisplay` shows how far long work is.
+"""
+
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import version
+from typing import NoReturn
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
+from rich.text import Text
+
+console = Console(highlight=False)
+errors = Console(stderr=True, highlight=False)
+TENTHS = 10  # plain lines per stage, besides its first one
+
+Show = Callable[..., None]
+"""(stage, units done, units in all, remark or value of the objective); can serve as a `gri.progress.Progress`."""
+
+
+def say(text: str) -> None:
+    """Write a line as it is; square brackets are text, not markup."""
+    console.print(text, markup=False, soft_wrap=True)
+
+
+def next_command(command: str) -> None:
+    """Show the command that a person would type next."""
+    console.print(Text.assemble("Next: ", (command, "bold")), soft_wrap=True)
+
+
+def notice(text: str) -> None:
+    """Write a line to standard error."""
+    errors.print(text, markup=False, soft_wrap=True)
+
+
+def fail(message: str, code: int) -> NoReturn:
+    """Write an error in one line and end the process with an exit code."""
+    notice(f"error: {message}")
+    sys.exit(code)
+
+
+def show_version(command: str) -> NoReturn:
+    """Write the version of the installed package and end the process."""
+    say(f"{command} {version('gri-cosim')}")
+    sys.exit(0)
+
+
+class ProgressDisplay:
+    """A bar per stage in a terminal; elsewhere a plain line when a stage begins and after every tenth of it.
+
+    `with ProgressDisplay() as show:` gives the function to report with, such as `show("warm-up", 100, 300)`. Rate and
+    remaining time are added where they are known.
+    """
+
+    def __init__(self) -> None:
+        columns = (
+            TextColumn("{task.description}", markup=False),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TextColumn("{task.fields[note]}", markup=False),
+        )
+        self._bars = Progress(*columns, TimeElapsedColumn(), console=errors)
+        self._stages: dict[str, _Stage] = {}
+
+    def __enter__(self) -> Show:
+        if errors.is_terminal:
+            self._bars.start()
+        return self._show
+
+    def __exit__(self, *_: object) -> None:
+        if errors.is_terminal:
+            self._bars.stop()
+
+    def _show(self, stage: str, done: int, total: int, value: float | str = "", /) -> None:
+        known = self._stages.get(stage)
+        if known is None or done < known.done:  # a stage of this name begins, perhaps once more
+            bar = self._bars.add_task(stage, total=total, note="") if known is None else known.bar
+            known = self._stages[stage] = _Stage(bar, time.monotonic(), done, -1, done)
+        tenth, known.done = TENTHS * done // max(total, 1), done
+        note = _note(value, known, done, total)
+        if errors.is_terminal:
+            self._bars.update(known.bar, completed=done, total=total, note=note)
+        elif tenth > known.tenth:
+            notice(f"{stage}: {done}/{total}{note and ', '}{note}")
+        known.tenth = tenth
+
+
+@dataclass
+class _Stage:
+    bar: TaskID
+    began: float  # [s] on the monotonic clock
+    before: int  # units done when it began here, which do not count for the rate
+    tenth: int  # the last tenth that was shown
+    done: int
+
+
+def _note(value: float | str, stage: _Stage, done: int, total: int) -> str:
+    """The remark or objective, the rate and the remaining time, as far as they are known."""
+    notes = [value if isinstance(value, str) else f"{value:.4g}"] if value else []
+    seconds = time.monotonic() - stage.began
+    if done > stage.before and seconds > 0:
+        rate = (done - stage.before) / seconds
+        notes.append(f"{rate:.1f}/s" if rate >= 1 else f"{60 * rate:.1f}/min")
+        notes += [f"{_clock((total - done) / rate)} left"] if done < total else []
+    return ", ".join(notes)
+
+
+def _clock(seconds: float) -> str:
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    if hours:
+        return f"{hours} h {minutes:02} min"
+    return f"{minutes} min {rest:02} s" if minutes else f"{rest} s"

@@ -1,0 +1,53 @@
+"""`cosim --help` and the help of all its commands; what mistakes need not wait for."""
+
+import re
+
+import pytest
+
+from cosim.commands.cli import app
+from tests import help_pages
+
+UNITS = {("traffic", "[s]"), ("calibrate", "[km/h]"), ("realism", "[m]"), ("scenes", "[m]"), ("scenes", "[s]")}
+
+
+@pytest.fixture(scope="module")
+def pages() -> dict[str, tuple[object, str]]:
+    return help_pages.pages(app)
+
+
+def test_help_shows_every_text_with_its_units(pages):
+    """Rich would take [s] and [m] for markup and drop them."""
+    units = set()
+    for name, (command, printed) in pages.items():
+        for parameter in command.params:  # type: ignore[attr-defined]
+            text = getattr(parameter, "help", None) or ""
+            units |= {(name, unit) for unit in re.findall(r"\[[^\]]+\]", text)}
+            assert help_pages.squeezed(text) in help_pages.squeezed(printed), (name, text)
+    assert units >= UNITS
+
+
+def test_help_fits_eighty_columns_and_is_not_cut(pages):
+    for name, (_, printed) in pages.items():
+        assert all(len(line) <= 80 for line in printed.splitlines()), name
+        if "Commands:" in printed:
+            listed = printed.partition("Commands:")[2]
+            assert not re.search(r"\.\.\.$", listed, re.MULTILINE), name
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "text"),
+    [
+        (["--help"], 0, "calibrate"),
+        (["scenes", "--help"], 0, "--per-seed"),
+        (["--version"], 0, "cosim 0."),
+        (["fly"], 2, "No such command"),
+        (["batch", "no_such_batch"], 2, "no_such_batch"),
+        (["traffic", "no_such_scenario"], 2, "no_such_scenario"),
+        (["scenes", "no_such_scenario", "--out", "x"], 2, "no_such_scenario"),
+        (["stress", "us101_merge", "--intensity", "much"], 2, "expected numbers"),
+    ],
+)
+def test_help_and_mistakes_do_not_wait_for_torch(arguments: list[str], code: int, text: str):
+    imported, printed, exit_code = help_pages.imported_by("cosim.commands.cli", *arguments)
+    assert (exit_code, imported) == (code, set()), printed
+    assert text in printed

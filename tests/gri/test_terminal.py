@@ -1,0 +1,59 @@
+"""Progress where there is no terminal, and text that contains square brackets."""
+
+import re
+
+import pytest
+
+from gri.terminal import ProgressDisplay, _clock, errors, next_command, say
+
+pytestmark = pytest.mark.skipif(errors.is_terminal, reason="lines are written where there is no terminal")
+
+
+def lines(capsys: pytest.CaptureFixture[str]) -> list[str]:
+    return [line for line in capsys.readouterr().err.splitlines() if line]
+
+
+def test_a_log_has_a_first_line_and_one_for_every_tenth(capsys: pytest.CaptureFixture[str]):
+    with ProgressDisplay() as show:
+        for done in (7, 99, 101, 102, 350, 1000):
+            show("reading", done, 1000, 0.5)
+    shown = lines(capsys)
+    assert [line.split(",")[0] for line in shown] == [
+        "reading: 7/1000", "reading: 101/1000", "reading: 350/1000", "reading: 1000/1000",
+    ]  # fmt: skip
+    assert shown[0] == "reading: 7/1000, 0.5"
+    assert re.fullmatch(r"reading: 350/1000, 0\.5, [\d.]+/s, \d+ s left", shown[2])
+
+
+def test_long_work_writes_few_lines(capsys: pytest.CaptureFixture[str]):
+    with ProgressDisplay() as show:
+        for done in range(5001):
+            show("runs", done, 5000, "1 failed" if done > 2000 else "")
+    shown = lines(capsys)
+    assert len(shown) == 11
+    assert shown[0] == "runs: 0/5000"
+    assert shown[-1].startswith("runs: 5000/5000, 1 failed, ")
+
+
+def test_a_stage_that_begins_again_is_shown_again(capsys: pytest.CaptureFixture[str]):
+    with ProgressDisplay() as show:
+        for done in (1, 2, 1, 2):
+            show("fold", done, 2)
+    assert [line.split(",")[0] for line in lines(capsys)] == ["fold: 1/2", "fold: 2/2"] * 2
+
+
+def test_nothing_to_do_is_no_error(capsys: pytest.CaptureFixture[str]):
+    with ProgressDisplay() as show:
+        show("runs", 0, 0)
+    assert lines(capsys) == ["runs: 0/0"]
+
+
+@pytest.mark.parametrize(("seconds", "text"), [(3.4, "3 s"), (61.0, "1 min 01 s"), (3725.0, "1 h 02 min")])
+def test_remaining_time(seconds: float, text: str):
+    assert _clock(seconds) == text
+
+
+def test_square_brackets_are_text(capsys: pytest.CaptureFixture[str]):
+    say("minimum gap [m]: 3")
+    next_command("cosim run 'my [s].yaml'")
+    assert capsys.readouterr().out == "minimum gap [m]: 3\nNext: cosim run 'my [s].yaml'\n"
