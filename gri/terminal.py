@@ -18,7 +18,7 @@ console = Console(highlight=False)
 errors = Console(stderr=True, highlight=False)
 TENTHS = 10  # plain lines per stage, besides its first one
 
-Show = Callable[..., None]
+ShowProgress = Callable[..., None]
 """(stage, units done, units in all, remark or value of the objective); can serve as a `gri.progress.Progress`."""
 
 
@@ -52,8 +52,8 @@ def show_version(command: str) -> NoReturn:
 class ProgressDisplay:
     """A bar per stage in a terminal; elsewhere a plain line when a stage begins and after every tenth of it.
 
-    `with ProgressDisplay() as show:` gives the function to report with, such as `show("warm-up", 100, 300)`. Rate and
-    remaining time are added where they are known.
+    `with ProgressDisplay() as progress:` gives the function to report with, such as `progress("warm-up", 100, 300)`.
+    Rate and remaining time are added where they are known.
     """
 
     def __init__(self) -> None:
@@ -66,7 +66,7 @@ class ProgressDisplay:
         self._bars = Progress(*columns, TimeElapsedColumn(), console=errors)
         self._stages: dict[str, _Stage] = {}
 
-    def __enter__(self) -> Show:
+    def __enter__(self) -> ShowProgress:
         if errors.is_terminal:
             self._bars.start()
         return self._show

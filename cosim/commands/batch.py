@@ -59,10 +59,10 @@ def batch(
     began = time.monotonic()
     how = _executor(executor, workers, address)
     try:
-        with ProgressDisplay() as show:
+        with ProgressDisplay() as progress:
 
             def tell(tally: "Tally") -> None:
-                show("runs", tally.ended, tally.total, f"{tally.failed} failed" if tally.failed else "")
+                progress("runs", tally.ended, tally.total, f"{tally.failed} failed" if tally.failed else "")
 
             tally = execute(spec, runs, Store(folder), how, tell, file=path, retry=retry_failed)
     except KeyboardInterrupt:

@@ -75,8 +75,8 @@ def scenes(
         rules=rules,
     )
     began = time.monotonic()
-    with ProgressDisplay() as show:
-        made = make(order, out, workers or os.cpu_count() or 1, lambda done, total: show("scenes", done, total))
+    with ProgressDisplay() as progress:
+        made = make(order, out, workers or os.cpu_count() or 1, lambda done, total: progress("scenes", done, total))
     report = report_of(order, made, time.monotonic() - began, out)
     for table in tables(report):
         console.print(table)

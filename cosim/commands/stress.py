@@ -45,8 +45,8 @@ def stress(
     folder = out or Path("runs", "stress", Path(scenario).stem)
     began = time.monotonic()
     try:
-        with ProgressDisplay() as show:
-            rows, made = run_stress(parts, folder, workers, show)
+        with ProgressDisplay() as progress:
+            rows, made = run_stress(parts, folder, workers, progress)
             command = shlex.join(["cosim", *sys.argv[1:]])
             facts = {"command": command, "worker_seconds": round(made.seconds, 1), "commits": made.commits}
             facts |= {"starts": starts, "workers": workers}

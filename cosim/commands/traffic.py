@@ -10,7 +10,7 @@ import typer
 
 from cosim.commands.arguments import DurationOption, ScenarioArgument, SeedOption, WorkersOption
 from gri.errors import InputError
-from gri.terminal import ProgressDisplay, Show, console, next_command, say
+from gri.terminal import ProgressDisplay, ShowProgress, console, next_command, say
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -43,8 +43,8 @@ def traffic(
     ]
     for name, scenario in zip(scenarios or SITES, chosen, strict=True):
         variants = [override(scenario, {"seed": scenario.seed + k}) for k in range(seeds)]
-        with ProgressDisplay() as show:
-            found = [_survey(variant, duration, show, f"seed {variant.seed}") for variant in variants]
+        with ProgressDisplay() as progress:
+            found = [_survey(variant, duration, progress, f"seed {variant.seed}") for variant in variants]
         from cosim.studies.traffic_targets import figures_of, table_of
 
         console.print(table_of(name, scenario, [figures_of(v, s) for v, s in zip(variants, found, strict=True)]))
@@ -85,8 +85,8 @@ def calibrate(
     numbers = tuple(chosen.seed + k for k in range(seeds))
     search = Search(chosen, parameters(free.split(","), chosen.traffic), numbers, duration, folder)
     began = time.monotonic()
-    with ProgressDisplay() as show:
-        best = calibrate(search, evaluations, workers or os.cpu_count() or 1, show)
+    with ProgressDisplay() as progress:
+        best = calibrate(search, evaluations, workers or os.cpu_count() or 1, progress)
     frame_of(best.runs).to_csv(folder / "seeds.csv", index=False)
     console.print(table_of(f"{scenario}, best", chosen, best.runs))
     values = ", ".join(f"{p.name} = {value:g}" for p, value in zip(search.free, best.values, strict=True))
@@ -182,14 +182,14 @@ def _of_scenario(name: str, seed: int | None, duration: float) -> "pd.DataFrame"
     from cosim.spec.loading import load_scenario, override
 
     scenario = override(load_scenario(name), {} if seed is None else {"seed": seed})
-    with ProgressDisplay() as show:
-        found = _survey(scenario, duration, show, "traffic")
+    with ProgressDisplay() as progress:
+        found = _survey(scenario, duration, progress, "traffic")
     from cosim.studies.traffic_samples import with_headways
 
     return with_headways(found.samples.assign(source="simulated"))
 
 
-def _survey(scenario: "Scenario", duration: float, show: Show, stage: str) -> "Survey":
+def _survey(scenario: "Scenario", duration: float, progress: ShowProgress, stage: str) -> "Survey":
     """Survey the traffic in a process of its own; its progress is shown under the name of the stage."""
     from cosim.process.worker_process import run_in_worker
 
@@ -199,5 +199,5 @@ def _survey(scenario: "Scenario", duration: float, show: Show, stage: str) -> "S
             scenario,
             duration,
             log=Path(scratch, "worker.log"),
-            tell=lambda _, done, total: show(stage, done, total),
+            tell=lambda _, done, total: progress(stage, done, total),
         )

@@ -14,9 +14,9 @@ def lines(capsys: pytest.CaptureFixture[str]) -> list[str]:
 
 
 def test_a_log_has_a_first_line_and_one_for_every_tenth(capsys: pytest.CaptureFixture[str]):
-    with ProgressDisplay() as show:
+    with ProgressDisplay() as progress:
         for done in (7, 99, 101, 102, 350, 1000):
-            show("reading", done, 1000, 0.5)
+            progress("reading", done, 1000, 0.5)
     shown = lines(capsys)
     assert [line.split(",")[0] for line in shown] == [
         "reading: 7/1000", "reading: 101/1000", "reading: 350/1000", "reading: 1000/1000",
@@ -26,9 +26,9 @@ def test_a_log_has_a_first_line_and_one_for_every_tenth(capsys: pytest.CaptureFi
 
 
 def test_long_work_writes_few_lines(capsys: pytest.CaptureFixture[str]):
-    with ProgressDisplay() as show:
+    with ProgressDisplay() as progress:
         for done in range(5001):
-            show("runs", done, 5000, "1 failed" if done > 2000 else "")
+            progress("runs", done, 5000, "1 failed" if done > 2000 else "")
     shown = lines(capsys)
     assert len(shown) == 11
     assert shown[0] == "runs: 0/5000"
@@ -36,15 +36,15 @@ def test_long_work_writes_few_lines(capsys: pytest.CaptureFixture[str]):
 
 
 def test_a_stage_that_begins_again_is_shown_again(capsys: pytest.CaptureFixture[str]):
-    with ProgressDisplay() as show:
+    with ProgressDisplay() as progress:
         for done in (1, 2, 1, 2):
-            show("fold", done, 2)
+            progress("fold", done, 2)
     assert [line.split(",")[0] for line in lines(capsys)] == ["fold: 1/2", "fold: 2/2"] * 2
 
 
 def test_nothing_to_do_is_no_error(capsys: pytest.CaptureFixture[str]):
-    with ProgressDisplay() as show:
-        show("runs", 0, 0)
+    with ProgressDisplay() as progress:
+        progress("runs", 0, 0)
     assert lines(capsys) == ["runs: 0/0"]
 
 

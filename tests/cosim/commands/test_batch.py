@@ -180,12 +180,3 @@ def test_ray_writes_the_same_bytes(short):
     done = cosim("batch", "short.yaml", "--executor", "ray", "--workers", "2", "--out", "ray", cwd=short)
     assert done.returncode == 0, done.stderr
     assert tables(short / "ray") == tables(short / "two")
-
-
-def test_without_ray_the_error_says_what_to_install(short, monkeypatch):
-    from cosim.process import ray_pool
-    from gri.errors import InputError
-
-    monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(InputError, match=r"install gri-cosim\[cluster\]"):
-        ray_pool._ray()
