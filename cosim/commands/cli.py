@@ -56,6 +56,9 @@ def run(
     A policy drives every group of vehicles for the horizon of the scenario. The
     table compares it with the same groups left to SUMO.
     """
+    from cosim.spec.loading import load_scenario
+
+    load_scenario(scenario)  # a mistake in it need not wait for torch, which the next imports bring
     from cosim.runs.run import run as run_scenario
     from cosim.runs.summary import terminal_table
 

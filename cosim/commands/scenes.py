@@ -62,13 +62,14 @@ def scenes(
         strategic=not any_change, at_most=at_most or [], interaction=interaction, spacing=spacing,
         per_vehicle=per_vehicle, reduction=reduction,
     )  # fmt: skip
+    kinds = kinds_of(kind)
     from cosim.scenes.dataset import Order, make
     from cosim.scenes.dataset_report import report_of, tables
 
     order = Order(
         scenario=chosen,
         source=Path(scenario).stem,
-        kinds=kinds_of(kind),
+        kinds=kinds,
         count=count,
         per_seed=per_seed or min(-(-count // 10), 250),
         gold=gold,
