@@ -1,11 +1,14 @@
 """One function in a process of its own, so that a native crash of SUMO ends that process and not the command."""
 
 import signal
+import sys
 import traceback
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, nullcontext
 from multiprocessing import get_all_start_methods, get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from cosim.process.failures import exit_cause, last_lines
@@ -45,7 +48,8 @@ def run_in_worker(
     context = get_context("fork") if options and "fork" in get_all_start_methods() else get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
     process = context.Process(target=_work, args=(target, arguments, dict(options or {}), sender, log), daemon=False)
-    process.start()
+    with nullcontext() if options else _main_module_hidden():
+        process.start()
     sender.close()
     begun = False
     try:
@@ -67,6 +71,21 @@ def run_in_worker(
         process.terminate()
         process.join()
         receiver.close()
+
+
+@contextmanager
+def _main_module_hidden() -> Iterator[None]:
+    """Keep a spawned process from importing the caller's script again.
+
+    By default it would, and a script without `if __name__ == "__main__":` would then start itself over. The worker
+    needs nothing of the script: its target is a module of this project.
+    """
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
 
 
 def _death(exit_code: int | None, log: Path, begun: bool) -> WorkerDeath | WorkerError:

@@ -1,6 +1,8 @@
 """The Python door: `cosim.run` and what it returns."""
 
 import json
+import subprocess
+import sys
 
 import pandas as pd
 import pytest
@@ -131,3 +133,11 @@ def test_policies_have_short_names(given, expected):
 def test_an_unknown_policy_says_what_there_is():
     with pytest.raises(InputError, match="got 'imd', expected one of sumo, idm, constant_velocity, a checkpoint"):
         cosim.run("us101_car_following", "imd")
+
+
+def test_a_plain_script_needs_no_guard(scenario, tmp_path):
+    """Without `if __name__ == "__main__":` a spawned worker must not start the script over."""
+    script = tmp_path / "script.py"
+    script.write_text(f"import cosim\nprint(cosim.run({str(scenario)!r}, 'idm', episodes=1, folder='out'))\n")
+    done = subprocess.run([sys.executable, script], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.stdout.startswith("Run('out': driver idm"), done.stderr
