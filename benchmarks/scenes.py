@@ -5,7 +5,7 @@
 Both sides are branches of one warmed-up simulation and start from the same state. One steps the traffic bare, one does
 everything `cosim scenes` does with rule labels: reading, asking, searching, cutting, labelling, writing. They take
 turns every 50 steps, so that whatever else the machine does slows both alike. CPU time; the second ratio is that of all
-CPU time of the filming side to what it spent stepping.
+CPU time of the extracting side to what it spent stepping.
 """
 
 import argparse
@@ -20,7 +20,7 @@ import pandas  # noqa: F401  pyarrow brings it with the first table, once per pr
 from turns import side_by_side
 
 from cosim.scenes.rules import DT, KINDS, Rules
-from cosim.scenes.seed_scenes import SceneExtractor, Spec, running
+from cosim.scenes.seed_scenes import SceneExtractor, SeedSpec, undisturbed_traffic
 from cosim.spec.input_files import find_net
 from cosim.spec.loading import load_scenario
 from cosim.sumo import Sumo
@@ -42,18 +42,18 @@ def bare(world: Sumo, steps: int) -> Side:
     return spent, spent, 0
 
 
-def filming(world: Sumo, spec: Spec, steps: int, file: Path) -> Side:
-    """Steps and cuts scenes."""
+def with_extraction(world: Sumo, spec: SeedSpec, steps: int, file: Path) -> Side:
+    """Steps, and extracts scenes."""
     stepping, began = _timed(world), time.process_time()
-    reel = SceneExtractor(world, spec)
+    extractor = SceneExtractor(world, spec)
     with writing(file, Header(dt=DT)) as write:
         for _ in range(steps):
-            for block in reel.next(reel.tape.advance()):
+            for block in extractor.process(extractor.buffer.advance()):
                 write(block)
-        for block in reel.finished_scenes():
+        for block in extractor.filter_clips():
             write(block)
     spent = (time.process_time() - began) / steps
-    return spent, sum(stepping) / steps, sum(tally.scenes for tally in reel.sieve.tallies.values())
+    return spent, sum(stepping) / steps, sum(tally.scenes for tally in extractor.scene_filter.tallies.values())
 
 
 def _timed(world: Sumo) -> list[float]:
@@ -71,14 +71,14 @@ def _timed(world: Sumo) -> list[float]:
 
 
 @contextmanager
-def warmed(name: str, steps: int) -> Iterator[tuple[Sumo, Spec, Path]]:
+def warmed(name: str, steps: int) -> Iterator[tuple[Sumo, SeedSpec, Path]]:
     """The scenario's traffic after its warm-up, with demand for so many steps more."""
     scenario = load_scenario(name)
-    spec = Spec(scenario=scenario, source="", split="train", kinds=KINDS, count=10**6, gold=False, rules=Rules())
+    spec = SeedSpec(scenario=scenario, source="", split="train", kinds=KINDS, count=10**6, gold=False, rules=Rules())
     end = scenario.traffic.warm_up + steps * scenario.step
     with (
         tempfile.TemporaryDirectory() as scratch,
-        running(scenario, find_net(scenario.net), Path(scratch), end) as world,
+        undisturbed_traffic(scenario, find_net(scenario.net), Path(scratch), end) as world,
     ):
         for _ in range(scenario.steps(scenario.traffic.warm_up)):
             world.step()
@@ -98,13 +98,15 @@ def main() -> None:
                 world,
                 TURN,
                 lambda: bare(world, options.steps),
-                lambda: filming(world, spec, options.steps, folder / "scenes.parquet"),
+                lambda: with_extraction(world, spec, options.steps, folder / "scenes.parquet"),
             )
             ratios.append(together[0] / alone[0])
             own.append(together[0] / together[1])
             milliseconds = [f"{1e3 * side[0]:.2f} ms" for side in (alone, together)]
             both = f"ratio {ratios[-1]:.2f}, to its own stepping {own[-1]:.2f}"
-            print(f"bare {milliseconds[0]}, filming {milliseconds[1]}, {both}, {together[2]} scenes", flush=True)
+            print(
+                f"bare {milliseconds[0]}, with extraction {milliseconds[1]}, {both}, {together[2]} scenes", flush=True
+            )
             for _ in range(BETWEEN):
                 world.step()
     medians = f"{statistics.median(ratios):.2f}, to its own stepping {statistics.median(own):.2f}"

@@ -63,10 +63,10 @@ def scenes(
         per_vehicle=per_vehicle, reduction=reduction,
     )  # fmt: skip
     kinds = kinds_of(kind)
-    from cosim.scenes.dataset import Order, make
+    from cosim.scenes.dataset import DatasetSpec, make
     from cosim.scenes.dataset_report import report_of, tables
 
-    order = Order(
+    order = DatasetSpec(
         scenario=chosen,
         source=Path(scenario).stem,
         kinds=kinds,

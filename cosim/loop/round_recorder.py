@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 from cosim.loop import end_conditions
 from cosim.loop.observation import Frame
 from cosim.loop.state_layouts import Pose
-from cosim.measures.contacts import overlaps
+from cosim.measures.collision_detection import overlapping_pairs
 from cosim.spec.scenario import GroupRule, Merge
 from cosim.sumo import Sumo
 from cosim.world.episode import COLUMNS, Ending, Event, EventKind
@@ -147,7 +147,7 @@ class Record:
         active, roles = self.active, 2  # 0 and 1, whoever drives them
         rows = frame.rows[active, :roles]
         rows = rows.ravel() if frame.complete else rows[frame.valid[active, :roles]]
-        hits = overlaps(snapshot.xy, snapshot.heading, snapshot.length, snapshot.width, rows)
+        hits = overlapping_pairs(snapshot.xy, snapshot.heading, snapshot.length, snapshot.width, rows)
         ours = {frozenset((snapshot.ids[i], snapshot.ids[j])) for i, j in hits.tolist()}
         theirs = {frozenset(pair) for pair in report.collisions}
         if not ours and not theirs and not report.teleported:

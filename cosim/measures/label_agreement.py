@@ -1,4 +1,4 @@
-"""How far two sets of labels agree."""
+"""Agreement of two sets of labels: confusion matrix, Cohen's kappa, precision and recall."""
 
 from dataclasses import dataclass
 
@@ -8,7 +8,7 @@ from jaxtyping import Int
 
 @dataclass(frozen=True)
 class Agreement:
-    """Counts of labels that one source (row) and the truth (column) gave the same things."""
+    """Confusion matrix: `counts[i, j]` items have label i (of K) from the source and label j in the reference."""
 
     counts: Int[np.ndarray, "K K"]
 
@@ -21,26 +21,26 @@ class Agreement:
 
     @property
     def kappa(self) -> float:
-        """Cohen's kappa: agreement beyond what the two sources' frequencies alone would give; nan without labels."""
+        """Cohen's (1960) kappa: agreement beyond the one expected by chance; NaN without labels."""
         total = self.counts.sum()
         if not total:
             return float("nan")
-        agreed = np.trace(self.counts) / total
-        by_chance = float((self.counts.sum(0) / total) @ (self.counts.sum(1) / total))
-        return float((agreed - by_chance) / (1 - by_chance)) if by_chance < 1 else 1.0
+        observed = np.trace(self.counts) / total
+        expected = float((self.counts.sum(0) / total) @ (self.counts.sum(1) / total))
+        return float((observed - expected) / (1 - expected)) if expected < 1 else 1.0
 
     def precision(self, kind: int) -> float:
-        """Share of the labels of a kind that are true; nan where there are none."""
+        """Share of the labels of this kind that the reference confirms; NaN without such labels."""
         return _share(self.counts[kind, kind], self.counts[kind].sum())
 
     def recall(self, kind: int) -> float:
-        """Share of the truth of a kind that is labelled so; nan where there is none."""
+        """Share of this kind in the reference that has this label; NaN without such items."""
         return _share(self.counts[kind, kind], self.counts[:, kind].sum())
 
 
-def agreement(labels: Int[np.ndarray, "..."], truth: Int[np.ndarray, "..."], kinds: int) -> Agreement:
-    """Compare labels 0 to kinds - 1 with the truth about the same things."""
-    counts = np.bincount(labels.ravel() * kinds + truth.ravel(), minlength=kinds * kinds)
+def agreement(labels: Int[np.ndarray, "..."], reference: Int[np.ndarray, "..."], kinds: int) -> Agreement:
+    """Compare labels (0 to kinds − 1) with reference labels of the same items and the same shape."""
+    counts = np.bincount(labels.ravel() * kinds + reference.ravel(), minlength=kinds * kinds)
     return Agreement(counts.reshape(kinds, kinds))
 
 

@@ -1,9 +1,9 @@
 """Surrogate safety and comfort measures of one drive: pure functions of trajectories, SI units.
 
-Trajectories are in the road frame of cosim/world/road_frame.py: `s` of the front bumper, `d` to the left. Vehicle i is
-*behind* j at an instant when s_i < s_j and the strips they cover across the road overlap, |d_i − d_j| < (w_i + w_j)/2.
-Measures that need a vehicle behind another are +inf (DRAC: 0) where there is none. PET and the distance between
-vehicles are those of oriented boxes (`cosim.measures.contacts`).
+Trajectories are in the road frame of cosim/world/road_frame.py: `s` [m] of the front bumper along the road, `d` [m] to
+the left. Vehicle i is *behind* j at an instant if s_i < s_j and their widths overlap, |d_i − d_j| < (w_i + w_j)/2.
+Where no vehicle is behind another, measures of following are +inf (DRAC: 0). PET and the distance between vehicles use
+oriented boxes (`cosim.measures.collision_detection`).
 
 Sources: TTC Hayward (1972); DRAC Cooper and Ferguson (1976); PET Allen, Shin and Cooper (1978); SUMO doc: SSM Device.
 """
@@ -15,11 +15,11 @@ from itertools import permutations
 import numpy as np
 from jaxtyping import Bool, Float
 
-from cosim.measures.contacts import Boxes, box_centre, boxes_meet, net_gap, time_to_collision
+from cosim.measures.collision_detection import Boxes, box_centre, boxes_overlap
 
 HARD_BRAKING = 4.5  # [m/s^2]
 JERK_QUANTILES = (0.5, 0.95, 0.99)
-PET_PARTS = 10  # of a step
+PET_SUBSTEPS = 10  # of a step, between which poses are interpolated for PET
 
 Times = Float[np.ndarray, " T"]
 
@@ -44,20 +44,36 @@ class Track:
         return Track(time, s, d, v, a, self.xy[rows], heading, self.length, self.width)
 
 
+def net_gap(
+    s_follower: Float[np.ndarray, "*n"], s_leader: Float[np.ndarray, "*n"], length_leader: Float[np.ndarray, "*#n"]
+) -> Float[np.ndarray, "*n"]:
+    """Gap [m] from a follower's front bumper to its leader's rear bumper; negative when they overlap along the road."""
+    return s_leader - length_leader - s_follower
+
+
+def time_to_collision(
+    gap: Float[np.ndarray, "*n"], v_follower: Float[np.ndarray, "*n"], v_leader: Float[np.ndarray, "*n"]
+) -> Float[np.ndarray, "*n"]:
+    """Time [s] until contact at constant speeds: gap / (v_follower − v_leader); +inf when the gap does not close."""
+    closing = v_follower - v_leader
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(closing > 0, np.maximum(gap, 0) / closing, np.inf)
+
+
 def behind(follower: Track, leader: Track) -> Bool[np.ndarray, " T"]:
-    """When the first is behind the second in its path."""
+    """At which instants the follower is behind the leader and in its path."""
     beside = np.abs(follower.d - leader.d) >= 0.5 * (follower.width + leader.width)
     return ~beside & (follower.s < leader.s)
 
 
 def gap(follower: Track, leader: Track) -> Times:
-    """Net gap [m] where the first is behind the second; not below 0."""
+    """Net gap [m], not below 0; +inf where the follower is not behind the leader."""
     distance = net_gap(follower.s, leader.s, np.array(leader.length))
     return np.where(behind(follower, leader), np.maximum(distance, 0.0), np.inf)
 
 
 def ttc(follower: Track, leader: Track) -> Times:
-    """Time to collision [s] at constant speeds: gap / (v_i − v_j)."""
+    """Time to collision [s] at constant speeds, gap / (v_i − v_j); +inf where the gap does not close."""
     return time_to_collision(gap(follower, leader), follower.v, leader.v)
 
 
@@ -75,58 +91,60 @@ def time_headway(follower: Track, leader: Track) -> Times:
 
 
 def pet(second: Track, first: Track, below: float = np.inf) -> float:
-    """Post-encroachment time [s]: the least time after which the second covers a place that the first has left.
+    """Post-encroachment time [s]: the shortest time after which the second vehicle is where the first one was.
 
-    It is the least τ ≥ 0 such that the box of the second at some t + τ overlaps the box of the first at t, with poses
-    interpolated to PET_PARTS parts of a step; +inf if the second never drives where the first was. In car following
-    that is the net time gap that was really kept, at a crossing the time between one leaving it and the other coming.
-    A value that is not `below` so many seconds may be +inf: it is not looked for.
+    It is the smallest τ ≥ 0 such that the box of the second vehicle at some t + τ overlaps the box of the first one at
+    t, with poses interpolated to PET_SUBSTEPS parts of a step; +inf if the second never drives where the first was. In
+    car following this is the net time gap; at a crossing, the time from one vehicle leaving it to the other arriving.
+    Only values smaller than `below` [s] are searched for; a larger one may be returned as +inf.
     """
     if (second.s - second.length > first.s + first.width).all() and (np.diff(second.s) >= 0).all():
-        return np.inf  # it was ahead all the time
-    early, late = _fine(first), _fine(second)
-    count, part = len(early.xy), float(first.time[1] - first.time[0]) / PET_PARTS
-    for lag in range(0, count, PET_PARTS):
-        if (lag - PET_PARTS) * part >= below:
+        return np.inf  # the second was ahead all the time
+    early, late = _interpolated_boxes(first), _interpolated_boxes(second)
+    count, part = len(early.xy), float(first.time[1] - first.time[0]) / PET_SUBSTEPS
+    for lag in range(0, count, PET_SUBSTEPS):
+        if (lag - PET_SUBSTEPS) * part >= below:
             break
-        if _meet_after(late, early, lag):
-            exact = next(k for k in range(max(lag - PET_PARTS + 1, 0), lag + 1) if _meet_after(late, early, k))
-            return exact * float(first.time[1] - first.time[0]) / PET_PARTS  # not · part: it rounds otherwise
+        if _overlap_after(late, early, lag):
+            exact = next(k for k in range(max(lag - PET_SUBSTEPS + 1, 0), lag + 1) if _overlap_after(late, early, k))
+            return exact * float(first.time[1] - first.time[0]) / PET_SUBSTEPS  # not · part: it rounds otherwise
     return np.inf
 
 
-def _fine(track: Track) -> Boxes:
-    """The boxes at PET_PARTS instants per step."""
+def _interpolated_boxes(track: Track) -> Boxes:
+    """The boxes of one vehicle, PET_SUBSTEPS per step."""
     steps = np.arange(len(track.time))
-    fine = np.arange(0, len(steps) - 1 + 1e-9, 1 / PET_PARTS)
+    fine = np.arange(0, len(steps) - 1 + 1e-9, 1 / PET_SUBSTEPS)
     x, y, heading = (np.interp(fine, steps, value) for value in (*track.xy.T, np.unwrap(track.heading)))
-    return _boxes(track, np.stack([x, y], axis=1), heading)
+    return _boxes_of(track, np.stack([x, y], axis=1), heading)
 
 
-def _boxes(track: Track, xy: Float[np.ndarray, "U 2"], heading: Float[np.ndarray, " U"]) -> Boxes:
+def _boxes_of(track: Track, xy: Float[np.ndarray, "U 2"], heading: Float[np.ndarray, " U"]) -> Boxes:
     return Boxes(xy, heading, np.full(len(xy), track.length), np.full(len(xy), track.width))
 
 
-def _meet_after(late: Boxes, early: Boxes, lag: int) -> bool:
-    """Whether one meets at any instant the other of `lag` fine instants before; who is far away is not tested."""
+def _overlap_after(late: Boxes, early: Boxes, lag: int) -> bool:
+    """Whether `late` at any instant overlaps `early` of `lag` substeps before; only close vehicles are tested."""
     count = len(early.xy) - lag
     reach = sum(float(boxes.length[0] + boxes.width[0]) for boxes in (late, early))
     near = np.abs(late.xy[lag:] - early.xy[:count]).max(axis=-1) < reach
     if not near.any():
         return False
     ours, theirs = (np.flatnonzero(near) + shift for shift in (lag, 0))
-    return bool(boxes_meet(late[ours], early[theirs]).any())
+    return bool(boxes_overlap(late[ours], early[theirs]).any())
 
 
 def box_distance(one: Track, other: Track) -> Times:
-    """Distance [m] between the oriented boxes; 0 where they overlap."""
+    """Distance [m] between the oriented boxes of two vehicles at each instant; 0 where they overlap."""
     a, b = _corners(one), _corners(other)
     apart = np.minimum(_corner_to_side(a, b), _corner_to_side(b, a))
-    return np.where(boxes_meet(_boxes(one, one.xy, one.heading), _boxes(other, other.xy, other.heading)), 0.0, apart)
+    return np.where(
+        boxes_overlap(_boxes_of(one, one.xy, one.heading), _boxes_of(other, other.xy, other.heading)), 0.0, apart
+    )
 
 
 def _corners(track: Track) -> Float[np.ndarray, "T 4 2"]:
-    """The corners in order around the box."""
+    """The four corners of each box [m], in order around it."""
     centre = box_centre(track.xy, track.heading, np.full(len(track.time), track.length))
     forward = np.stack([np.cos(track.heading), np.sin(track.heading)], axis=1)
     left = np.stack([-forward[:, 1], forward[:, 0]], axis=1)
@@ -138,7 +156,7 @@ def _corners(track: Track) -> Float[np.ndarray, "T 4 2"]:
 
 
 def _corner_to_side(corners: Float[np.ndarray, "T 4 2"], box: Float[np.ndarray, "T 4 2"]) -> Times:
-    """Least distance from any corner of one box to any side of the other."""
+    """Smallest distance [m] from any corner of one box to any side of the other."""
     side = np.roll(box, -1, axis=1) - box
     offset = corners[:, :, None] - box[:, None]  # Shape: (T, corner, side, 2)
     share = (offset * side[:, None]).sum(-1) / (side**2).sum(-1)[:, None]
@@ -147,26 +165,27 @@ def _corner_to_side(corners: Float[np.ndarray, "T 4 2"], box: Float[np.ndarray, 
 
 
 def jerk(track: Track) -> Float[np.ndarray, " U"]:
-    """Change of acceleration between instants [m/s³]; one value less than instants."""
+    """Jerk [m/s³] between successive instants: Δa / Δt; one value fewer than instants."""
     return np.diff(track.a) / np.diff(track.time)
 
 
 def hard_brakings(track: Track) -> int:
-    """How often the vehicle begins to brake harder than HARD_BRAKING."""
+    """Number of times the vehicle begins to brake harder than HARD_BRAKING."""
     hard = track.a < -HARD_BRAKING
     return int(hard[0]) + int((hard[1:] & ~hard[:-1]).sum())
 
 
 def lateral_change(one: Track, other: Track) -> float:
-    """Δy [m] of the paper (Sec. VI-E): |y_1 − y_0| at the end minus at the start; negative when they come together."""
+    """Δy [m] of the paper (Sec. VI-E): |y_1 − y_0| at the end minus at the start; negative if they come closer."""
     apart = np.abs(one.d - other.d)
     return float(apart[-1] - apart[0])
 
 
 def effect_on(follower: Track) -> dict[str, float]:
-    """What a drive did to a vehicle behind it: its hardest acceleration and lost speed after the first instant.
+    """Effect of a drive on the vehicle behind the group, from the first instant on.
 
-    Keys: follower_min_acceleration [m/s²], follower_speed_loss [m/s] from the first instant to the slowest one.
+    Keys: follower_min_acceleration [m/s²], the smallest one after the first instant; follower_speed_loss [m/s], the
+    speed at the first instant minus the lowest speed.
     """
     return {
         "follower_min_acceleration": float(follower.a[1:].min(initial=np.inf)),
@@ -175,26 +194,31 @@ def effect_on(follower: Track) -> dict[str, float]:
 
 
 def conflicts(tracks: Sequence[Track], concerned: Sequence[int]) -> dict[str, float]:
-    """The worst value of each safety measure over all pairs with a concerned vehicle, while both are there.
+    """The worst value of each safety measure over all pairs with a vehicle of `concerned` (indices of `tracks`).
 
-    Keys: min_ttc, max_drac, min_pet, min_headway [s], min_gap [m] (between boxes).
+    Keys: min_ttc [s], max_drac [m/s²], min_pet [s], min_headway [s], min_gap [m] (between boxes). A pair counts at all
+    instants at which both vehicles are present.
     """
-    pairs = [_together(tracks[i], tracks[j]) for i, j in permutations(range(len(tracks)), 2) if {i, j} & set(concerned)]
+    pairs = [
+        _common_instants(tracks[i], tracks[j])
+        for i, j in permutations(range(len(tracks)), 2)
+        if {i, j} & set(concerned)
+    ]
     pairs = [(i, j) for i, j in pairs if len(i.time) > 1]
-    least = np.inf
+    min_pet = np.inf
     for i, j in pairs:
-        least = min(least, pet(i, j, below=least))
+        min_pet = min(min_pet, pet(i, j, below=min_pet))
     return {
         "min_ttc": min((float(ttc(i, j).min()) for i, j in pairs), default=np.inf),
         "max_drac": max((float(drac(i, j).max()) for i, j in pairs), default=0.0),
-        "min_pet": least,
+        "min_pet": min_pet,
         "min_headway": min((float(time_headway(i, j).min()) for i, j in pairs), default=np.inf),
         "min_gap": min((float(box_distance(i, j).min()) for i, j in pairs), default=np.inf),
     }
 
 
-def _together(one: Track, other: Track) -> tuple[Track, Track]:
-    """Both at the instants at which both are there."""
+def _common_instants(one: Track, other: Track) -> tuple[Track, Track]:
+    """The two tracks at the instants at which both vehicles are present."""
     if np.array_equal(one.time, other.time):
         return one, other
     times = np.intersect1d(one.time, other.time)
@@ -202,7 +226,10 @@ def _together(one: Track, other: Track) -> tuple[Track, Track]:
 
 
 def comfort(tracks: Sequence[Track]) -> dict[str, float]:
-    """Of all these vehicles: jerk_50, jerk_95, jerk_99 (quantiles of |jerk|), min_acceleration, hard_brakings."""
+    """Comfort of all these vehicles together.
+
+    Keys: jerk_50, jerk_95, jerk_99 [m/s³] (quantiles of |jerk|), min_acceleration [m/s²], hard_brakings (a count).
+    """
     size = np.abs(np.concatenate([jerk(track) for track in tracks]))
     quantiles = np.quantile(size, JERK_QUANTILES) if len(size) else np.zeros(len(JERK_QUANTILES))
     return {

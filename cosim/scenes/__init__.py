@@ -1,4 +1,8 @@
-"""Training scenes cut out of live traffic, with the relations that SUMO knows (docs/scene-labels.md).
+"""Training scenes of three vehicles, cut out of SUMO traffic and labelled with which vehicle reacts to which.
 
-Begin with `dataset.make`; `seed_scenes` runs one seed, `trajectory_buffer` holds the last seconds of traffic.
+The steps are: `seed_scenes` simulates one seed; `trajectory_buffer` keeps the last seconds of traffic; `candidates`
+finds following chains and merges; `clips` cuts them out; `scene_filters` applies `rules` and labels the scenes
+(`cosim.measures.relation_labels`); `scene_states` computes their states. `dataset` joins many seeds into one file, and
+`dataset_report` describes it. The command `cosim scenes` uses `dataset.make` and `rules`; no other room imports this
+one. Begin with `dataset.make`. See docs/scene-labels.md.
 """

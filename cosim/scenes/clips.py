@@ -1,4 +1,4 @@
-"""Three vehicles cut out of a tape, and what SUMO says of them in the form that labels are made from."""
+"""Clips: candidates cut out of the buffer, and what SUMO reports about them in the form that labels are made from."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float, Int
 
-from cosim.measures.relation_labels import NOBODY, DriverRecords
+from cosim.measures.relation_labels import NO_VEHICLE, DriverRecords
 from cosim.scenes.candidates import Window, rows_throughout
 from cosim.scenes.rules import Kind
 from cosim.scenes.trajectory_buffer import COLUMN, BufferedStep, TrajectoryBuffer
@@ -15,18 +15,18 @@ from cosim.world.snapshot import DriverParameters
 
 @dataclass(frozen=True)
 class Clip:
-    """A candidate that was seen all through; one moment more than the scene has steps."""
+    """A candidate that was present throughout; it has M = T + 1 steps, one more than the scene."""
 
     window: Window
     time: float
-    """Of step 0 [s]."""
-    characters: tuple[DriverParameters, ...]
+    """Simulation time of step 0 [s]."""
+    drivers: tuple[DriverParameters, ...]
     values: Float[np.ndarray, "3 M F"]
-    """Columns of the tape."""
-    behind: Float[np.ndarray, "3 M"]
-    """Speed the car-following models allow behind the leaders; inf where that says nothing about the three."""
-    beside: Float[np.ndarray, "3 M"]
-    """The same behind whom they want to change lanes to, where that is one of the three; else inf."""
+    """Per vehicle and step the columns of the buffer (`trajectory_buffer.COLUMNS`)."""
+    speed_behind_leader: Float[np.ndarray, "3 M"]
+    """Speed [m/s] that the car-following model allows behind the leader; inf where no label can depend on it."""
+    speed_behind_target: Float[np.ndarray, "3 M"]
+    """The same behind the target of an urgent lane change, if the target is one of the three vehicles; else inf."""
 
     @property
     def speeds(self) -> Float[np.ndarray, "3 M"]:
@@ -38,84 +38,90 @@ class Clip:
         return self.window.kind
 
 
-def cut(window: Window, tape: TrajectoryBuffer, steps: int) -> Clip | None:
-    """The clip of a window whose last moment, one after its T steps, is the newest; None where somebody was away."""
-    moments = [moment for moment in tape.moments if moment.index >= window.begin]
-    assert len(moments) == steps + 1, f"got {len(moments)} moments, wanted {steps + 1}"
-    rows = rows_throughout(moments, window.vehicles)
+def cut_clip(window: Window, buffer: TrajectoryBuffer, scene_steps: int) -> Clip | None:
+    """The clip of a window of `scene_steps` + 1 steps that ends now; None if a vehicle was missing in one of them."""
+    steps = [step for step in buffer.steps if step.index >= window.begin]
+    assert len(steps) == scene_steps + 1, f"got {len(steps)} steps, wanted {scene_steps + 1}"
+    rows = rows_throughout(steps, window.vehicles)
     if rows is None:
         return None
-    tape.settle()
-    values = np.stack([moment.values[rows[:, t]] for t, moment in enumerate(moments)], 1)
-    limits = np.array([moment.limits for moment in moments])
-    values[..., COLUMN["limit"]] = limits[np.arange(len(moments)), values[..., COLUMN["lane"]].astype(int)]
-    if tape.every == 1:
+    buffer.await_interventions()
+    values = np.stack([step.values[rows[:, t]] for t, step in enumerate(steps)], 1)
+    limits = np.array([step.limits for step in steps])
+    values[..., COLUMN["limit"]] = limits[np.arange(len(steps)), values[..., COLUMN["lane"]].astype(int)]
+    if buffer.stride == 1:
         values[:, :-1, COLUMN["v_next"]] = values[:, 1:, COLUMN["v"]]
-    ids = [moments[0].ids[row] for row in rows[:, 0]]
-    characters = tuple(tape.world.drivers.character(vehicle) for vehicle in ids)
-    leader, asker, target = (values[..., COLUMN[name]].astype(int) for name in ("leader", "asker", "target"))
-    led, after, wanted = ((whom[..., None] == window.vehicles).any(-1) for whom in (leader, asker, target))
-    concerned = led | ((after | wanted) & (leader != NOBODY))
-    behind = _allowed(tape, moments, ids, values, "gap", np.where(concerned, leader, NOBODY))
-    beside = _allowed(tape, moments, ids, values, "target_gap", np.where(wanted, target, NOBODY))
-    return Clip(window, moments[0].time, characters, values, behind, beside)
+    ids = [steps[0].ids[row] for row in rows[:, 0]]
+    drivers = tuple(buffer.world.drivers.character(vehicle) for vehicle in ids)
+    leader, requester, target = (values[..., COLUMN[name]].astype(int) for name in ("leader", "requester", "target"))
+    leader_inside, requester_inside, target_inside = (
+        (number[..., None] == window.vehicles).any(-1) for number in (leader, requester, target)
+    )
+    # A label can depend on the leader's effect if the leader is one of the three, or if it explains a lower speed.
+    relevant = leader_inside | ((requester_inside | target_inside) & (leader != NO_VEHICLE))
+    behind_leader = _allowed_speeds(buffer, steps, ids, values, "gap", np.where(relevant, leader, NO_VEHICLE))
+    behind_target = _allowed_speeds(
+        buffer, steps, ids, values, "target_gap", np.where(target_inside, target, NO_VEHICLE)
+    )
+    return Clip(window, steps[0].time, drivers, values, behind_leader, behind_target)
 
 
-def _allowed(
-    tape: TrajectoryBuffer,
-    moments: Sequence[BufferedStep],
+def _allowed_speeds(
+    buffer: TrajectoryBuffer,
+    steps: Sequence[BufferedStep],
     ids: list[str],
     values: np.ndarray,
-    gap: str,
-    whom: Int[np.ndarray, "3 M"],
+    gap_column: str,
+    ahead: Int[np.ndarray, "3 M"],
 ) -> Float[np.ndarray, "3 M"]:
-    """Asks the car-following models, for those steps only at which a label may depend on it; inf elsewhere."""
-    allowed = np.full(whom.shape, np.inf)
+    """Speeds [m/s] that SUMO's car-following models allow behind the vehicles `ahead`; inf where there is none."""
+    allowed = np.full(ahead.shape, np.inf)
     braking: dict[int, float] = {}
-    for j, t in np.argwhere(whom != NOBODY).tolist():
-        number, moment = int(whom[j, t]), moments[t]
-        row = moment.row.get(number)
-        if row is None:  # beyond the stretch: nobody can say that it was not the leader who slowed it
+    drivers = buffer.world.drivers
+    for j, t in np.argwhere(ahead != NO_VEHICLE).tolist():
+        number, step = int(ahead[j, t]), steps[t]
+        row = step.row_of.get(number)
+        if row is None:  # beyond the road section: it may have slowed the vehicle to any speed
             allowed[j, t] = 0.0
             continue
         if number not in braking:
-            braking[number] = tape.world.drivers.braking(moment.ids[row])
-        v, room, v_leader = values[j, t, COLUMN["v"]], values[j, t, COLUMN[gap]], moment.values[row, COLUMN["v"]]
-        allowed[j, t] = tape.world.drivers.follow_speed(ids[j], float(v), float(room), float(v_leader), braking[number])
+            braking[number] = drivers.braking(step.ids[row])
+        v, gap, v_ahead = values[j, t, COLUMN["v"]], values[j, t, COLUMN[gap_column]], step.values[row, COLUMN["v"]]
+        allowed[j, t] = drivers.follow_speed(ids[j], float(v), float(gap), float(v_ahead), braking[number])
     return allowed
 
 
-def driver_records_of(clips: Sequence[Clip], step: float, every: int) -> DriverRecords:
-    """What SUMO says of the vehicles of clips of one kind, for `cosim.measures.relation_labels`."""
+def driver_records_of(clips: Sequence[Clip], dt: float, stride: int) -> DriverRecords:
+    """What SUMO reports about the vehicles of S clips of one kind, for `cosim.measures.relation_labels`."""
     values = np.stack([clip.values[:, :-1] for clip in clips])
     v, limit = values[..., COLUMN["v"]], values[..., COLUMN["limit"]]
-    leader, asker, target, cut_in = (
-        values[..., COLUMN[name]].astype(int) for name in ("leader", "asker", "target", "cut")
+    leader, requester, target, new_follower = (
+        values[..., COLUMN[name]].astype(int) for name in ("leader", "requester", "target", "new_follower")
     )
     factor, top, acceleration, imperfection = (
-        np.array([[getattr(c, name) for c in clip.characters] for clip in clips])[..., None]
+        np.array([[getattr(driver, name) for driver in clip.drivers] for clip in clips])[..., None]
         for name in ("speed_factor", "max_speed", "acceleration", "imperfection")
     )
     return DriverRecords(
         vehicle=np.array([clip.window.vehicles for clip in clips]),
         v=v,
         v_next=values[..., COLUMN["v_next"]],
-        free=np.minimum(v + acceleration * step, np.minimum(limit * factor, top)),
-        behind=np.stack([clip.behind[:, :-1] for clip in clips]),
-        noise=np.broadcast_to(imperfection * acceleration, v.shape),
-        beside=np.stack([clip.beside[:, :-1] for clip in clips]),
+        free_speed=np.minimum(v + acceleration * dt, np.minimum(limit * factor, top)),
+        speed_behind_leader=np.stack([clip.speed_behind_leader[:, :-1] for clip in clips]),
+        imperfection=np.broadcast_to(imperfection * acceleration, v.shape),
+        speed_behind_target=np.stack([clip.speed_behind_target[:, :-1] for clip in clips]),
         leader=leader,
-        asker=asker,
+        requester=requester,
         target=target,
-        gave_way=values[..., COLUMN["gave_way"]] > 0,
-        cut=cut_in,
-        room=values[..., COLUMN["room"]],
-        dt=step,
-        every=every,
+        cooperative_change=values[..., COLUMN["cooperative_change"]] > 0,
+        new_follower=new_follower,
+        new_follower_margin=values[..., COLUMN["new_follower_margin"]],
+        dt=dt,
+        stride=stride,
     )
 
 
-def tried(clips: Sequence[Clip]) -> tuple[np.ndarray, np.ndarray]:
-    """[S, 3, T] Accelerations that the vehicles owe to their leader, and to requests (negative) [m/s²]."""
+def intervention_effects(clips: Sequence[Clip]) -> tuple[np.ndarray, np.ndarray]:
+    """[S, 3, T] Accelerations [m/s²] that the vehicles owe to their leader, and to requests to make room (negative)."""
     values = np.stack([clip.values[:, :-1] for clip in clips])
-    return values[..., COLUMN["unled"]], values[..., COLUMN["unasked"]]
+    return values[..., COLUMN["effect_of_leader"]], values[..., COLUMN["effect_of_requests"]]

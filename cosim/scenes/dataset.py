@@ -1,7 +1,7 @@
-"""A data set out of many seeds: who films which, what is kept when, and the one file in the end.
+"""A data set of scenes from many seeds: one simulation per seed, and one file in the end.
 
-Every seed's file depends on its spec alone, and the data set takes seeds in order, as many as it needs. So neither the
-number of workers nor where a run was stopped shows in the file.
+The file of a seed depends on its spec only, and the data set takes as many seeds as it needs, in order. So the file
+does not depend on the number of workers, nor on where a run was stopped and continued.
 """
 
 import hashlib
@@ -20,7 +20,7 @@ import msgspec
 from cosim.process.task import Answer, Task
 from cosim.process.task_pool import run_local
 from cosim.scenes.rules import DT, Kind, Rules
-from cosim.scenes.seed_scenes import SPLITS, Spec
+from cosim.scenes.seed_scenes import SPLITS, SeedSpec
 from cosim.scenes.seed_task import FIGURES, SCENES, SeedResult
 from cosim.spec.input_files import find_net, sha256
 from cosim.spec.loading import override
@@ -29,13 +29,16 @@ from gri.data.scene_file.schema import Header, joining
 from gri.errors import InputError
 
 FILE = "scenes.parquet"
-LONGEST = 24 * 3600.0  # [s] that a seed may take
-PATIENCE = 10  # seeds without a single scene of a kind before giving up
+SEED_TIME_LIMIT = 24 * 3600.0  # [s] of wall-clock time
+MAX_EMPTY_SEEDS = 10  # seeds without any scene of a kind after which the data set is given up
 Tell = Callable[[int, int], None]  # (scenes so far, wanted)
 
 
-class Order(msgspec.Struct, frozen=True, kw_only=True):
-    """What is wanted: so many scenes of each kind, of seeds from the scenario's on, so many of each at most."""
+class DatasetSpec(msgspec.Struct, frozen=True, kw_only=True):
+    """What a data set holds: `count` scenes of each kind, at most `per_seed` of them from one seed.
+
+    Seeds are counted from the scenario's own seed on.
+    """
 
     scenario: Scenario
     source: str
@@ -49,9 +52,9 @@ class Order(msgspec.Struct, frozen=True, kw_only=True):
     def total(self) -> int:
         return self.count * len(self.kinds)
 
-    def spec(self, k: int) -> Spec:
+    def spec(self, k: int) -> SeedSpec:
         """The k-th seed's share."""
-        return Spec(
+        return SeedSpec(
             scenario=override(self.scenario, {"seed": self.scenario.seed + k}),
             source=self.source,
             split=SPLITS[k % len(SPLITS)],
@@ -62,7 +65,7 @@ class Order(msgspec.Struct, frozen=True, kw_only=True):
         )
 
     def header(self, seeds: int) -> Header:
-        """What the file says of itself."""
+        """The metadata of the file: time step and provenance."""
         flows = {str(k): flow.name for k, flow in enumerate(self.scenario.traffic.flows)}
         return Header(
             dt=DT,
@@ -79,134 +82,142 @@ class Order(msgspec.Struct, frozen=True, kw_only=True):
 
 
 @dataclass(frozen=True)
-class Made:
-    """The file, the seeds it is made of, and how many scenes this run had to make."""
+class Dataset:
+    """A finished data set: its file, the results of its seeds, and the number of scenes made in this run."""
 
     path: Path
-    brought: tuple[SeedResult, ...]
-    fresh: int
+    seeds: tuple[SeedResult, ...]
+    new_scenes: int
 
 
-def make(order: Order, folder: Path, workers: int, tell: Tell) -> Made:
-    """Film seeds until there are enough scenes of every kind, and join them; what is there already is kept."""
-    store = Store(order, folder)
+def make(order: DatasetSpec, folder: Path, workers: int, tell: Tell) -> Dataset:
+    """Simulate seeds until there are enough scenes of every kind, then join them; finished seeds are reused.
+
+    `tell` is called with the scenes so far and the scenes wanted. Raises `InputError` if the folder has a data set
+    already, or if no scene of a kind is found.
+    """
+    store = SeedStore(order, folder)
     before = store.scenes()
     tell(before, order.total)
     while (enough := store.enough()) is None:
         queue: deque[Task] = deque()
         _refill(queue, store, workers)
-        with closing(run_local(queue, LONGEST, workers=workers)) as answers:
+        with closing(run_local(queue, SEED_TIME_LIMIT, workers=workers)) as answers:
             for answer in answers:
                 store.keep(answer)
                 tell(store.scenes(), order.total)
                 if store.enough() is None:
                     _refill(queue, store, 1)
-    return Made(store.join(enough), tuple(store.brought[k] for k in range(enough)), store.scenes() - before)
+    return Dataset(store.join(enough), tuple(store.results[k] for k in range(enough)), store.scenes() - before)
 
 
-def _refill(queue: deque[Task], store: "Store", count: int) -> None:
+def _refill(queue: deque[Task], store: "SeedStore", count: int) -> None:
     queue.extend(store.task() for _ in range(count))
 
 
-class Store:
-    """The seeds in a folder: which are there, which are under way, and whether they are enough."""
+class SeedStore:
+    """The seeds in a folder: which ones are finished, which ones are running, and whether there are enough."""
 
-    def __init__(self, order: Order, folder: Path) -> None:
+    def __init__(self, order: DatasetSpec, folder: Path) -> None:
         self.order, self.folder, self._seeds = order, folder, folder / "seeds"
         if (folder / FILE).exists():
-            raise InputError(f"{folder / FILE}: is there already; give another --out, or remove it")
+            raise InputError(f"{folder / FILE}: exists already; give another --out, or remove it")
         self._seeds.mkdir(parents=True, exist_ok=True)
         net = sha256(find_net(order.scenario.net))
         self._salt = [net, version("gri-cosim"), version("libsumo")]
-        self.brought: dict[int, SeedResult] = {}
+        self.results: dict[int, SeedResult] = {}
         for path in self._seeds.iterdir():
-            found = self._found(path)
+            found = self._read(path)
             if found is None:
                 shutil.rmtree(path)
             else:
-                self.brought[int(path.name)] = found
-        self._asked = set(self.brought)
+                self.results[int(path.name)] = found
+        self._started = set(self.results)
 
     def _key(self, k: int) -> str:
         return hashlib.sha256(msgspec.json.encode([self.order.spec(k), self._salt])).hexdigest()
 
-    def _found(self, path: Path) -> SeedResult | None:
+    def _read(self, path: Path) -> SeedResult | None:
+        """The result of a finished seed; None if the folder is incomplete or belongs to another data set."""
         if not path.name.isdigit() or not (path / FIGURES).is_file():
             return None
-        brought = msgspec.json.decode((path / FIGURES).read_bytes(), type=SeedResult)
-        return brought if brought.key == self._key(int(path.name)) else None
+        result = msgspec.json.decode((path / FIGURES).read_bytes(), type=SeedResult)
+        return result if result.key == self._key(int(path.name)) else None
 
     def task(self) -> Task:
-        """The next seed that is neither there nor under way."""
-        k = next(k for k in range(len(self._asked) + 1) if k not in self._asked)
-        self._asked.add(k)
+        """The next seed that is neither finished nor running."""
+        k = next(k for k in range(len(self._started) + 1) if k not in self._started)
+        self._started.add(k)
         folder = self._seeds / f".{k}.{os.getpid()}"
         return Task(str(k), "cosim.scenes.seed_task:seed_task", (self.order.spec(k),), folder)
 
     def keep(self, answer: Answer) -> None:
-        """Put what a worker made on the store. Errors: `InputError` or RuntimeError with what went wrong."""
+        """Add the result of a worker. Raises `InputError` or RuntimeError with the reason if the worker failed."""
         k = int(answer.name)
         if answer.kind != "done":
             shutil.rmtree(answer.folder, ignore_errors=True)
             message = f"seed {self.order.scenario.seed + k}: {answer.message}"
             raise InputError(message) if answer.kind == "input" else RuntimeError(message)
         seconds = round(answer.cpu_seconds, 3)
-        brought = SeedResult(key=self._key(k), figures=answer.value, cpu_seconds=seconds, peak_mb=answer.peak_mb)
+        result = SeedResult(key=self._key(k), figures=answer.value, cpu_seconds=seconds, peak_mb=answer.peak_mb)
         try:
-            (answer.folder / FIGURES).write_bytes(msgspec.json.encode(brought))
+            (answer.folder / FIGURES).write_bytes(msgspec.json.encode(result))
             os.replace(answer.folder, self._seeds / answer.name)
         except OSError as error:
             shutil.rmtree(answer.folder, ignore_errors=True)
-            raise RuntimeError(f"seed {self.order.scenario.seed + k}: cannot be kept: {error.strerror}") from error
-        self.brought[k] = brought
-        if len(self.brought) >= PATIENCE:
+            raise RuntimeError(
+                f"seed {self.order.scenario.seed + k}: its result cannot be stored: {error.strerror}"
+            ) from error
+        self.results[k] = result
+        if len(self.results) >= MAX_EMPTY_SEEDS:
             self._check_kinds()
 
     def _check_kinds(self) -> None:
         for kind in self.order.kinds:
-            if not any(_scenes(brought, kind) for brought in self.brought.values()):
+            if not any(_scenes(result, kind) for result in self.results.values()):
                 raise InputError(
-                    f"{self.order.source}: no {kind} scene in {len(self.brought)} seeds; look at the rules"
+                    f"{self.order.source}: no {kind} scene in {len(self.results)} seeds;"
+                    " relax the rules (see `cosim scenes --help`)"
                 )
 
     def scenes(self) -> int:
-        """How many scenes there are, of each kind no more than wanted."""
+        """Number of scenes so far; of each kind at most as many as wanted."""
         return sum(
-            min(sum(_scenes(brought, kind) for brought in self.brought.values()), self.order.count)
+            min(sum(_scenes(result, kind) for result in self.results.values()), self.order.count)
             for kind in self.order.kinds
         )
 
     def enough(self) -> int | None:
-        """How many seeds, from the first one on without a gap, are enough; None where they are not."""
+        """Number of seeds, counted from the first one without a gap, that suffice; None if there are not enough yet."""
         left: dict[Kind, int] = dict.fromkeys(self.order.kinds, self.order.count)
         k = 0
         while max(left.values()) > 0:
-            if k not in self.brought:
+            if k not in self.results:
                 return None
-            left = {kind: count - _scenes(self.brought[k], kind) for kind, count in left.items()}
+            left = {kind: count - _scenes(self.results[k], kind) for kind, count in left.items()}
             k += 1
         return k
 
     def join(self, seeds: int) -> Path:
-        """Write the one file and remove the seeds' own."""
+        """Write the file of the data set from the first `seeds` seeds, and remove the files of the seeds."""
         left: dict[str, int] = dict.fromkeys(self.order.kinds, self.order.count)
         with joining(self.folder / FILE, self.order.header(seeds)) as append:
             for k in range(seeds):
                 append(self._seeds / str(k) / SCENES, left)
-                left = {kind: max(left[kind] - _scenes(self.brought[k], kind), 0) for kind in self.order.kinds}
+                left = {kind: max(left[kind] - _scenes(self.results[k], kind), 0) for kind in self.order.kinds}
         shutil.rmtree(self._seeds)
         return self.folder / FILE
 
 
-def _scenes(brought: SeedResult, kind: Kind) -> int:
-    return int(brought.figures.tallies[kind]["scenes"])
+def _scenes(result: SeedResult, kind: Kind) -> int:
+    return int(result.figures.tallies[kind]["scenes"])
 
 
-def totals(made: Sequence[SeedResult], kind: Kind) -> dict[str, Any]:
-    """The tallies of all seeds of a kind in one: counts and tables added up."""
+def total_tally(seeds: Sequence[SeedResult], kind: Kind) -> dict[str, Any]:
+    """The tallies of all seeds of a kind, added up."""
     found: dict[str, Any] = {}
-    for brought in made:
-        found = _sum(found, brought.figures.tallies[kind]) if found else dict(brought.figures.tallies[kind])
+    for result in seeds:
+        found = _sum(found, result.figures.tallies[kind]) if found else dict(result.figures.tallies[kind])
     return found
 
 

@@ -1,4 +1,4 @@
-"""What a finished data set holds, how well its labels agree, and what it cost."""
+"""The report of a finished data set: its scenes and labels, their agreement, the rejections, and the cost."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,41 +9,41 @@ import numpy as np
 from rich.table import Table
 
 from cosim.measures.label_agreement import Agreement
-from cosim.scenes.dataset import Made, Order, totals
+from cosim.scenes.dataset import Dataset, DatasetSpec, total_tally
 from gri.core.edges import LANE_CHANGING
 
 NAMES = [str(kind) for kind in LANE_CHANGING]
 
 
-def report_of(order: Order, made: Made, seconds: float, folder: Path) -> dict[str, Any]:
-    """The figures of a data set; also written as `report.json` beside it."""
-    cpu = sum(brought.cpu_seconds for brought in made.brought)
-    size = made.path.stat().st_size / 2**20
+def report_of(spec: DatasetSpec, dataset: Dataset, seconds: float, folder: Path) -> dict[str, Any]:
+    """The figures of a data set; also written to `report.json` in `folder`. `seconds` is the wall-clock time [s]."""
+    cpu = sum(result.cpu_seconds for result in dataset.seeds)
+    size = dataset.path.stat().st_size / 2**20
     cost = {
         "seconds": round(seconds, 1),
         "cpu_seconds": round(cpu, 1),
-        "scenes_per_core_second": round(order.total / cpu, 2),
-        "cpu_seconds_per_scene": round(cpu / order.total, 3),
-        "simulated_seconds": round(sum(brought.figures.simulated for brought in made.brought), 1),
-        "peak_mb": round(max(brought.peak_mb for brought in made.brought), 1),
-        "fresh": made.fresh,
+        "scenes_per_core_second": round(spec.total / cpu, 2),
+        "cpu_seconds_per_scene": round(cpu / spec.total, 3),
+        "simulated_seconds": round(sum(result.figures.simulated for result in dataset.seeds), 1),
+        "peak_mb": round(max(result.peak_mb for result in dataset.seeds), 1),
+        "fresh": dataset.new_scenes,
         "file_mb": round(size, 2),
-        "seeds": len(made.brought),
+        "seeds": len(dataset.seeds),
     }
     cost["text"] = (
-        f"{order.total} scenes of {cost['seeds']} seeds, {made.fresh} of them made in these {seconds:.0f} s"
-        f" ({made.fresh / seconds:.1f} per second); {order.total / cpu:.1f} per second of a core"
-        f" ({cpu / order.total:.3f} s each); peak memory of a worker {cost['peak_mb']:.0f} MB."
-        f" {made.path}: {size:.1f} MB"
+        f"{spec.total} scenes of {cost['seeds']} seeds, {dataset.new_scenes} of them made now, in {seconds:.0f} s"
+        f" ({dataset.new_scenes / seconds:.1f} per second); {spec.total / cpu:.1f} per second of a core"
+        f" ({cpu / spec.total:.3f} s of CPU time each); peak memory of a worker {cost['peak_mb']:.0f} MB."
+        f" {dataset.path}: {size:.1f} MB"
     )
-    kinds = {kind: _kind(totals(made.brought, kind)) for kind in order.kinds}
-    report = {"kinds": kinds, "gold": order.gold, "cost": cost}
+    kinds = {kind: _with_agreement(total_tally(dataset.seeds, kind)) for kind in spec.kinds}
+    report = {"kinds": kinds, "gold": spec.gold, "cost": cost}
     (folder / "report.json").write_bytes(msgspec.json.format(msgspec.json.encode(report), indent=1) + b"\n")
     return report
 
 
-def _kind(tally: dict[str, Any]) -> dict[str, Any]:
-    """A kind's tally with shares and agreement."""
+def _with_agreement(tally: dict[str, Any]) -> dict[str, Any]:
+    """The tally of a kind, with agreement of labels added and types by name."""
     for name in ("rule_gold", "hypothesis"):
         found = Agreement(np.array(tally[name]))
         tally[name] = {
@@ -63,8 +63,8 @@ def _rounded(value: float) -> float | None:
 
 
 def tables(report: dict[str, Any]) -> Iterator[Table]:
-    """What a person reads in the end."""
-    shares = Table("kind", "scenes", "unambiguous", "of", *NAMES, title="Relations")
+    """The tables for the terminal: shares of relations, agreement of labels, and rejected candidates."""
+    shares = Table("kind", "scenes", "unambiguous", "labels", *NAMES, title="Relations: share of all ordered pairs")
     for kind, tally in report["kinds"].items():
         scenes, clear = str(tally["scenes"]), f"{100 * tally['unambiguous'] / tally['scenes']:.0f} %"
         for row, name in enumerate(("edges", "step_labels")):
@@ -73,15 +73,17 @@ def tables(report: dict[str, Any]) -> Iterator[Table]:
             first = ("", "", "") if row else (kind, scenes, clear)
             shares.add_row(*first, name.replace("_", " "), *counted)
     yield shares
-    agreement = Table("kind", "labels", "against", "kappa", *NAMES, title="Agreement (precision / recall)")
+    agreement = Table(
+        "kind", "labels", "reference", "Cohen's kappa", *NAMES, title="Agreement of labels (precision / recall)"
+    )
     for kind, tally in report["kinds"].items():
-        for name, labels, truth in (("rule_gold", "rules", "interventions"), ("hypothesis", "geometry", "edges")):
+        for name, labels, reference in (("rule_gold", "rules", "interventions"), ("hypothesis", "geometry", "edges")):
             found = tally[name]
             if found["labels"]:
                 scores = [f"{_shown(found['precision'][of])} / {_shown(found['recall'][of])}" for of in NAMES]
-                agreement.add_row(kind, labels, truth, _shown(found["kappa"]), *scores)
+                agreement.add_row(kind, labels, reference, _shown(found["kappa"]), *scores)
     yield agreement
-    rejected = Table("kind", "turned down", "candidates", title="Rejections")
+    rejected = Table("kind", "reason", "candidates", title="Rejections: candidates by the first rule that they violate")
     for kind, tally in report["kinds"].items():
         for reason, count in tally["rejected"].items():
             rejected.add_row(kind, reason, str(count))

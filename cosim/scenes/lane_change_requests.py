@@ -1,8 +1,9 @@
-"""Who asks whom to make room for a lane change, as SUMO's model LC2013 does it, and what lane changes do to others.
+"""Lane-change requests in SUMO's model LC2013: which vehicle asks which other one to make room.
 
-SUMO does not tell to whom a request goes. It goes from who urgently wants to a lane, and is blocked there, to the next
-vehicle behind, which is to slow down, and to a slower one ahead, which is to let itself be overtaken. Who cannot or
-need not overtake the one ahead there keeps a distance to it already: it will drive behind it.
+SUMO does not report to which vehicle a request goes. In LC2013, a vehicle that urgently wants to change lanes and is
+blocked there asks the next vehicle behind in that lane to slow down, and a slower vehicle ahead in that lane to let
+itself be overtaken. If it cannot or need not overtake the vehicle ahead, it already keeps a distance to it and will
+drive behind it: that vehicle is its target.
 """
 
 from collections.abc import Iterable, Sequence
@@ -13,10 +14,10 @@ import numpy as np
 from cosim.sumo import Drivers
 from cosim.world.snapshot import Driving, LaneChange
 
-URGENT = int(LaneChange.URGENT)  # as plain numbers, which are faster
+URGENT = int(LaneChange.URGENT)  # as plain integers, which are faster
 SIDES = tuple(
-    (int(wish), int(behind), int(ahead))
-    for wish, behind, ahead in (
+    (int(wish), int(follower), int(leader))
+    for wish, follower, leader in (
         (LaneChange.LEFT, LaneChange.BLOCKED_BY_LEFT_FOLLOWER, LaneChange.BLOCKED_BY_LEFT_LEADER),
         (LaneChange.RIGHT, LaneChange.BLOCKED_BY_RIGHT_FOLLOWER, LaneChange.BLOCKED_BY_RIGHT_LEADER),
     )
@@ -25,58 +26,61 @@ SAME_LANE = 1.0  # [m] of lateral distance between lanes that continue each othe
 
 
 @dataclass(frozen=True)
-class Change:
-    """A lane change: of whom, from which of the lanes to which, and the lane-change state it was decided in."""
+class LaneChangeEvent:
+    """A lane change that SUMO made: the vehicle, the indices of both lanes, and the lane-change state behind it."""
 
     vehicle: str
-    source: int
-    target: int
+    from_lane: int
+    to_lane: int
     state: int
-    behind: str
-    """Who drives behind it in the new lane; "": nobody near."""
+    new_follower: str
+    """Id of the vehicle behind it in the new lane; "" if there is none near."""
 
 
 @dataclass(frozen=True)
 class LaneChangeRequests:
-    """What comes of urgent wishes to change lanes, by row of a `Driving`."""
+    """Effects of urgent wishes to change lanes on other vehicles, by row of a `Driving`."""
 
-    askers: dict[int, str]
-    """By whom a vehicle is asked; of several by the nearest."""
+    requesters: dict[int, str]
+    """Row of each vehicle that is asked to make room -> id of the vehicle that asks it; of several, the nearest."""
     targets: dict[int, tuple[str, float]]
-    """Behind whom a vehicle that urgently wants to another lane would drive there, and the gap to it [m]."""
+    """Row of each vehicle with an urgent wish -> id of the vehicle ahead in the wanted lane, and the gap to it [m]."""
 
 
 def find_requests(drivers: Drivers, driving: Driving, candidates: Iterable[int]) -> LaneChangeRequests:
-    """Who asks whom, and who wants to drive behind whom, of the candidates and, as helpers may ask too, the asked."""
+    """The requests and targets of the candidates (rows), and of the vehicles that they ask, which may ask others."""
     asked: dict[int, tuple[float, str]] = {}
     targets: dict[int, tuple[str, float]] = {}
     rows = driving.where
     waiting = sorted(candidates)
-    seen = set(waiting)
-    for row in waiting:  # grows
+    queued = set(waiting)
+    for row in waiting:  # grows in the loop
         vehicle = driving.ids[row]
-        for to_left, (wish, behind, ahead) in zip((True, False), SIDES, strict=True):
+        for to_left, (wish, follower, leader) in zip((True, False), SIDES, strict=True):
             state = drivers.lane_change_state(vehicle, to_left)
             if not (state & URGENT and state & wish):
                 continue
-            others = [drivers.neighbour(vehicle, to_left, ahead=False)] if state & behind else []
+            others = [drivers.neighbour(vehicle, to_left, ahead=False)] if state & follower else []
             target, gap = drivers.neighbour(vehicle, to_left, ahead=True)
             if target in rows:
                 targets[row] = target, gap
-                if state & ahead and driving.v[row] > driving.v[rows[target]]:
+                if state & leader and driving.v[row] > driving.v[rows[target]]:
                     others.append((target, gap))
             for other, distance in others:
                 at = rows.get(other)
                 if at is not None and distance < asked.get(at, (np.inf, ""))[0]:
                     asked[at] = distance, vehicle
-                    if at not in seen:
-                        seen.add(at)
+                    if at not in queued:
+                        queued.add(at)
                         waiting.append(at)
-    return LaneChangeRequests({row: asker for row, (_, asker) in asked.items()}, targets)
+    return LaneChangeRequests({row: requester for row, (_, requester) in asked.items()}, targets)
 
 
-def new_follower(driving: Driving, vehicle: str, centres: Sequence[float]) -> int | None:
-    """Row of who drives behind a vehicle in its lane, wherever that began; `centres` [m] are those of the lanes."""
+def follower_row(driving: Driving, vehicle: str, centres: Sequence[float]) -> int | None:
+    """Row of the vehicle that follows `vehicle` in its lane; None without one.
+
+    `centres` [m] are the lateral positions of the lanes. The follower may still be on an earlier edge of the lane.
+    """
     if vehicle not in driving.where:
         return None
     own = centres[driving.lane[driving.where[vehicle]]]
@@ -84,8 +88,8 @@ def new_follower(driving: Driving, vehicle: str, centres: Sequence[float]) -> in
     return next((row for row in followers if abs(centres[driving.lane[row]] - own) < SAME_LANE), None)
 
 
-def room(drivers: Drivers, driving: Driving, behind: int, own: int) -> float:
-    """What is left of the gap between two vehicles beyond the one the rear driver holds to be secure [m]."""
-    rear, front = driving.ids[behind], driving.ids[own]
-    secure = drivers.secure_gap(rear, driving.v[behind], front, driving.v[own], drivers.braking(front))
-    return driving.gap[behind] - secure
+def secure_gap_margin(drivers: Drivers, driving: Driving, follower: int, leader: int) -> float:
+    """Gap between two vehicles (rows) minus the secure gap of the following driver [m]."""
+    behind, ahead = driving.ids[follower], driving.ids[leader]
+    secure = drivers.secure_gap(behind, driving.v[follower], ahead, driving.v[leader], drivers.braking(ahead))
+    return driving.gap[follower] - secure

@@ -1,4 +1,4 @@
-"""What is cut out of traffic: the kinds of scenes, and the rules that candidates must keep."""
+"""The kinds of scenes, and the rules that a candidate must satisfy to become a scene."""
 
 from typing import Literal
 
@@ -14,55 +14,61 @@ HYPOTHESIS: dict[Kind, dict[tuple[int, int], EdgeType]] = {
     "car_following": {(1, 0): EdgeType.FOLLOW, (2, 1): EdgeType.FOLLOW},
     "merge": {(2, 0): EdgeType.FOLLOW, (1, 0): EdgeType.CUT_IN, (0, 1): EdgeType.YIELD},
 }
-"""The graph that the geometry suggests (Sec. VI-C): 0 follows 1 follows 2; 0 merges behind 2, before 1."""
+"""The graph that the geometry suggests (paper, Sec. VI-C): 0 follows 1 follows 2; or 0 merges between 1 and 2.
+
+A key (i, j) says how j reacts to i.
+"""
 DT = 0.2  # [s], between two steps of a scene
 Rarest = Literal["cut_in", "yield", "follow", "none"]
 RAREST: tuple[Rarest, ...] = ("cut_in", "yield", "follow", "none")
 
 
 class Rules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Rules and their numbers; every candidate that breaks one is counted under the first it breaks."""
+    """Rules and their parameters. A rejected candidate is counted under the first rule that it violates."""
 
     following_steps: int = 30
-    """T of car following: 6 s."""
+    """Steps T of a car-following scene: 6 s."""
     merging_steps: int = 40
-    """T of merges: 8 s."""
+    """Steps T of a merge scene: 8 s."""
     least_before: int = 8
-    """Steps that vehicle 0 of a merge was seen before the crossing, at least; half of T are wanted."""
+    """Minimum number of steps before the crossing in which vehicle 0 of a merge is on the road section; T/2 are used
+    if there are as many."""
     strategic: bool = True
-    """Merges are lane changes that a driver must make to go its way; else also those for speed."""
+    """True: a merge is a lane change that the route requires. False: lane changes for speed count, too."""
     at_once: int = 2
-    """Car-following scenes of the same stretch of time, at most."""
+    """Maximum number of car-following scenes from the same T steps."""
     spacing: float = 50.0
-    """Front to front to the vehicle ahead less than this, always when following, at step 0 and the crossing when
-    merging [m]."""
+    """Maximum distance from front bumper to front bumper of the vehicle ahead [m]: in car following at all steps, in
+    merges at step 0 and at the crossing."""
     travel: float = 5.0
-    """Vehicle 0 moves at least this far [m]."""
+    """Minimum distance that vehicle 0 travels [m]."""
     merging_speed: float = 2.0
-    """Of vehicle 0 at the crossing, at least [m/s]."""
+    """Minimum speed of vehicle 0 at the crossing [m/s]."""
     sideways: float = 3.0
-    """SUMO changes lanes in no time; the file's y takes so long [s] from there on; 0: no time."""
+    """Duration of a lane change in the file [s]. SUMO changes lanes in one step; 0 keeps this."""
     per_vehicle: int = 2
-    """Scenes of one kind that a vehicle may be in."""
+    """Maximum number of scenes of one kind with the same vehicle."""
     interaction: float = 1.0
-    """Time during which somebody reacts to somebody, summed over pairs, at least [s]."""
+    """Minimum time of interaction in a scene, summed over pairs [s]."""
     least_clear: float = 1.0
-    """An interaction that shorter sums up to leaves the reduction to one graph ambiguous [s]."""
+    """Minimum total time of an interaction [s]; a pair that interacts for less is ambiguous."""
     reduction: Reduction = Reduction.STRONGEST
+    """How the labels of all steps become one graph."""
     at_most: dict[Rarest, float] = {}
-    """Greatest share of a kind's scenes whose rarest edge is of a type (cut_in, yield, follow, none: from rare)."""
+    """Maximum share of scenes of a kind by the type of their rarest edge; from rare to frequent: cut_in, yield, follow,
+    none."""
 
     def steps(self, kind: Kind) -> int:
-        """T of a kind."""
+        """Steps T of a scene of this kind."""
         return self.following_steps if kind == "car_following" else self.merging_steps
 
     @property
     def longest(self) -> int:
-        """The greatest T."""
+        """The larger one of both T."""
         return max(self.following_steps, self.merging_steps)
 
     def checked(self) -> "Rules":
-        """These rules. Errors: `InputError` where they cannot be used."""
+        """These rules, unchanged. Raises `InputError` if a share is not between 0 and 1."""
         for kind, share in self.at_most.items():
             if not 0 <= share <= 1:
                 raise InputError(f"--at-most: got {share:g} for {kind}, wanted a share from 0 to 1")

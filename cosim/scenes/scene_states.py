@@ -1,4 +1,4 @@
-"""From positions along lanes to the states of a scene file."""
+"""The states of a scene file, computed from positions along lanes."""
 
 from collections.abc import Sequence
 
@@ -11,33 +11,34 @@ from cosim.scenes.trajectory_buffer import COLUMN, RoadSection
 from gri.data.ngsim.integration import integrated
 
 
-def places(clips: Sequence[Clip], stretch: RoadSection) -> tuple[np.ndarray, np.ndarray]:
-    """[S, 3, M] s of the front bumper and lateral position d of the lane each vehicle is on [m]."""
+def road_positions(clips: Sequence[Clip], section: RoadSection) -> tuple[np.ndarray, np.ndarray]:
+    """[S, 3, M] Position s of the front bumper along the road, and lateral position d of the vehicle's lane [m]."""
     lane, position = (np.stack([clip.values[..., COLUMN[name]] for clip in clips]) for name in ("lane", "position"))
     xy = np.zeros((*lane.shape, 2))
     for index in np.unique(lane):
         on = lane == index
-        xy[on] = stretch.lanes[int(index)].points(position[on])
-    s, d = stretch.road.to_road(xy.reshape(-1, 2))
+        xy[on] = section.lanes[int(index)].points(position[on])
+    s, d = section.road.to_road(xy.reshape(-1, 2))
     return s.reshape(lane.shape), d.reshape(lane.shape)
 
 
-def features(
+def scene_features(
     s: Float[np.ndarray, "S N M"],
     d: Float[np.ndarray, "S N M"],
     v: Float[np.ndarray, "S N M"],
-    step: float,
-    sideways: float,
+    dt: float,
+    lane_change_time: float,
 ) -> dict[str, np.ndarray]:
-    """States of the M − 1 steps of a scene file, SI units.
+    """State features [S, N, M − 1] of a scene file by name, SI units.
 
-    SUMO moves a vehicle by its new speed, x' = x + v'·h, so that its positions belong to speeds half a step h later.
-    The file's x = s − v·h/2 goes with v: it obeys x' = x + (v + v')·h/2, the point mass of the paper. a is the
-    acceleration from there on, as in the paper's dynamics. Lane changes take `sideways` [s] from where SUMO makes them.
+    SUMO moves a vehicle by its new speed, x' = x + v'·h with h = `dt`, so that its positions belong to speeds half a
+    step later. The file has x = s − v·h/2 beside v. It obeys x' = x + (v + v')·h/2, which is the point mass of the
+    paper. a is the acceleration until the next step, as in the paper's dynamics. SUMO changes lanes in one step; in the
+    file a lane change takes `lane_change_time` [s] from then on.
     """
-    x, a = s - v * step / 2, np.diff(v) / DT
-    seen = np.concatenate([d[..., :-1], d[..., -2:-1]], -1)  # a change after the last step does not show
-    y = _sideways(seen, round(sideways / DT))
+    x, a = s - v * dt / 2, np.diff(v) / DT
+    lateral = np.concatenate([d[..., :-1], d[..., -2:-1]], -1)  # without a lane change after the last step
+    y = _smooth_lane_changes(lateral, round(lane_change_time / DT))
     vy = np.gradient(y, DT, axis=-1)
     y, ay = integrated(vy, y, DT)
     heading = np.where(v > 0.5, np.arctan2(vy, np.maximum(v, 0.5)), 0.0)
@@ -49,8 +50,8 @@ def features(
     }
 
 
-def _sideways(d: Float[np.ndarray, "S N M"], steps: int) -> Float[np.ndarray, "S N M"]:
-    """The same, with every jump of more than a metre spread over so many steps: the path of least jerk."""
+def _smooth_lane_changes(d: Float[np.ndarray, "S N M"], steps: int) -> Float[np.ndarray, "S N M"]:
+    """d with every jump of more than 1 m spread over `steps` steps, along the path of least jerk."""
     if steps <= 1:
         return d
     jump = np.diff(d, axis=-1, prepend=d[..., :1])

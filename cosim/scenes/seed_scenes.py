@@ -11,22 +11,22 @@ import msgspec
 import numpy as np
 
 from cosim.perturb.traffic_demand import perturbed_traffic
-from cosim.scenes.candidates import Window, chains, merge_of
-from cosim.scenes.clips import Clip, cut
+from cosim.scenes.candidates import Window, following_chains, merge_window
+from cosim.scenes.clips import Clip, cut_clip
 from cosim.scenes.rules import DT, Kind, Rules
 from cosim.scenes.scene_filters import SceneFilter, Tally
-from cosim.scenes.trajectory_buffer import BufferedStep, Numbers, RoadSection, TrajectoryBuffer
+from cosim.scenes.trajectory_buffer import BufferedStep, RoadSection, TrajectoryBuffer, VehicleNumbers
 from cosim.spec.scenario import Scenario
 from cosim.sumo import Sumo, sumo
 from cosim.traffic.route_file import arguments, route_file, sign_file
 from gri.data.scene_file.schema import SceneBlock
 
 SPLITS = ("train", "test", "validation", "train", "train", "train", "train", "test", "train", "train")
-"""Of seed k, counted from the first one, modulo their number."""
-BATCH = 64  # clips that are looked at together
+"""Split of seed k, counted from the first seed of a data set, modulo their number."""
+CLIPS_AT_ONCE = 64  # that are filtered together, because array operations on few clips are slow
 
 
-class Spec(msgspec.Struct, frozen=True, kw_only=True):
+class SeedSpec(msgspec.Struct, frozen=True, kw_only=True):
     """One seed's share of a data set."""
 
     scenario: Scenario
@@ -39,38 +39,44 @@ class Spec(msgspec.Struct, frozen=True, kw_only=True):
     rules: Rules
 
 
-class Figures(msgspec.Struct, frozen=True, kw_only=True):
-    """What a seed brought and what it cost."""
+class SeedStatistics(msgspec.Struct, frozen=True, kw_only=True):
+    """The scenes and labels of a seed in numbers, and its cost."""
 
     tallies: dict[Kind, dict[str, Any]]
     simulated: float
-    """[s] after the warm-up."""
+    """Simulated time after the warm-up [s]."""
     steps: int
+    """Simulation steps after the warm-up."""
     warm_up_seconds: float
-    """CPU time."""
+    """CPU time of the warm-up [s]."""
     seconds: float
-    """CPU time after the warm-up, without that of copies of the process."""
+    """CPU time after the warm-up [s], without that of copies of the process."""
 
 
-def film(spec: Spec, net: Path, folder: Path, write: Callable[[SceneBlock], None]) -> Figures:
-    """Simulate a seed and write its scenes; the same spec and versions give the same scenes."""
+def extract_scenes(spec: SeedSpec, net: Path, folder: Path, write: Callable[[SceneBlock], None]) -> SeedStatistics:
+    """Simulate a seed and write its scenes with `write`; the same spec and versions give the same scenes.
+
+    `net` is the net file; `folder` takes what SUMO reads and writes.
+    """
     scenario, end = spec.scenario, spec.scenario.traffic.warm_up + spec.scenario.time_limit
     began = time.process_time()
-    with running(scenario, net, folder, end) as world:
+    with undisturbed_traffic(scenario, net, folder, end) as world:
         for _ in range(scenario.steps(scenario.traffic.warm_up)):
             world.step()
         warm = time.process_time()
-        reel = SceneExtractor(world, spec)
-        while not reel.done and (moment := reel.tape.advance()).time < end:
-            for block in reel.next(moment):
+        extractor = SceneExtractor(world, spec)
+        while not extractor.complete and (step := extractor.buffer.advance()).time < end:
+            for block in extractor.process(step):
                 write(block)
-        for block in reel.finished_scenes():
+        for block in extractor.filter_clips():
             write(block)
-        reel.tape.settle()
+        extractor.buffer.await_interventions()
         seconds = time.process_time() - warm
-        simulated = reel.tape.count * DT
-    tallies: dict[Kind, dict[str, Any]] = {kind: _plain(reel.sieve.tallies[kind]) for kind in spec.kinds}
-    return Figures(
+        simulated = extractor.buffer.count * DT
+    tallies: dict[Kind, dict[str, Any]] = {
+        kind: _tally_as_json(extractor.scene_filter.tallies[kind]) for kind in spec.kinds
+    }
+    return SeedStatistics(
         tallies=tallies,
         simulated=round(simulated, 3),
         steps=round(simulated / scenario.step),
@@ -80,10 +86,10 @@ def film(spec: Spec, net: Path, folder: Path, write: Callable[[SceneBlock], None
 
 
 @contextmanager
-def running(scenario: Scenario, net: Path, folder: Path, end: float) -> Iterator[Sumo]:
-    """The scenario's undisturbed traffic with demand until `end` [s]; the folder is for what SUMO reads and writes.
+def undisturbed_traffic(scenario: Scenario, net: Path, folder: Path, end: float) -> Iterator[Sumo]:
+    """A simulation of the scenario's traffic without policies, with demand until `end` [s].
 
-    Light: it brings no torch, so that copies of the process are cheap.
+    `folder` takes what SUMO reads and writes. This imports no torch, so that copies of the process are cheap.
     """
     traffic = perturbed_traffic(scenario).traffic
     routes, signs, log = (folder / name for name in ("routes.rou.xml", "routes.signs.xml", "sumo.log"))
@@ -94,58 +100,58 @@ def running(scenario: Scenario, net: Path, folder: Path, end: float) -> Iterator
 
 
 class SceneExtractor:
-    """Finds windows as the tape goes on, cuts them when they are over, and develops clips in batches."""
+    """Finds candidates (windows) during the simulation, cuts clips out of the buffer, and filters them in batches."""
 
-    def __init__(self, world: Sumo, spec: Spec) -> None:
+    def __init__(self, world: Sumo, spec: SeedSpec) -> None:
         scenario, self.spec = spec.scenario, spec
-        self._every = round(DT / scenario.step)
+        stride = round(DT / scenario.step)
         road = world.net.road(scenario.road.edges, scenario.road.origin)
-        stretch = RoadSection(world.net, road, scenario.road.edges, scenario.road.length)
-        self._numbers = Numbers([flow.name for flow in scenario.traffic.flows])
+        section = RoadSection(world.net, road, scenario.road.edges, scenario.road.length)
+        self._numbers = VehicleNumbers([flow.name for flow in scenario.traffic.flows])
         length = spec.rules.longest + 1
-        self.tape = TrajectoryBuffer(
-            world, stretch, self._numbers, length=length, step=scenario.step, every=self._every, gold=spec.gold
+        self.buffer = TrajectoryBuffer(
+            world, section, self._numbers, length=length, dt=scenario.step, stride=stride, gold=spec.gold
         )
-        self.sieve = SceneFilter(spec.rules, stretch, scenario.step, self._every, spec.count, spec.gold)
+        self.scene_filter = SceneFilter(spec.rules, section, scenario.step, stride, spec.count, spec.gold)
         self._rng = np.random.default_rng(scenario.seed)
-        self._waiting: list[Window] = []
+        self._windows: list[Window] = []
         self._clips: list[Clip] = []
 
     @property
-    def done(self) -> bool:
+    def complete(self) -> bool:
         """Whether there are enough scenes of every kind."""
-        return all(self.sieve.full(kind) for kind in self.spec.kinds)
+        return all(self.scene_filter.full(kind) for kind in self.spec.kinds)
 
-    def next(self, moment: BufferedStep) -> list[SceneBlock]:
-        """Look at a new moment; whatever scenes are ready by now."""
-        rules, kinds = self.spec.rules, [kind for kind in self.spec.kinds if not self.sieve.full(kind)]
+    def process(self, step: BufferedStep) -> list[SceneBlock]:
+        """Find and cut candidates at a new step; returns scenes once enough clips wait."""
+        rules, kinds = self.spec.rules, [kind for kind in self.spec.kinds if not self.scene_filter.full(kind)]
         if "merge" in kinds:
-            self._merges(moment)
-        if "car_following" in kinds and moment.index and moment.index % rules.following_steps == 0:
-            self._chains(moment)
+            self._find_merges(step)
+        if "car_following" in kinds and step.index and step.index % rules.following_steps == 0:
+            self._find_chains(step)
         before = len(self._clips)
-        due = [w for w in self._waiting if w.begin + rules.steps(w.kind) == moment.index]
-        self._waiting = [w for w in self._waiting if w.begin + rules.steps(w.kind) > moment.index]
-        for window in due:
-            clip = cut(window, self.tape, rules.steps(window.kind))
+        ending = [w for w in self._windows if w.begin + rules.steps(w.kind) == step.index]
+        self._windows = [w for w in self._windows if w.begin + rules.steps(w.kind) > step.index]
+        for window in ending:
+            clip = cut_clip(window, self.buffer, rules.steps(window.kind))
             if clip is None:
-                self._counts(window.kind)["left the stretch"] += 1
+                self._rejected(window.kind)["left the road section"] += 1
             else:
                 self._clips.append(clip)
-        return self.finished_scenes() if len(self._clips) > before and self._ready() else []
+        return self.filter_clips() if len(self._clips) > before and self._enough_clips() else []
 
-    def _ready(self) -> bool:
-        """Whether there are many clips, or enough to be done with a kind."""
+    def _enough_clips(self) -> bool:
+        """Whether many clips wait, or enough to complete a kind."""
         waiting: Counter[Kind] = Counter(clip.kind for clip in self._clips)
-        return sum(waiting.values()) >= BATCH or any(
-            count >= self.sieve.wanted(kind) for kind, count in waiting.items()
+        return sum(waiting.values()) >= CLIPS_AT_ONCE or any(
+            count >= self.scene_filter.missing(kind) for kind, count in waiting.items()
         )
 
-    def finished_scenes(self) -> list[SceneBlock]:
+    def filter_clips(self) -> list[SceneBlock]:
         """The scenes among the clips that wait."""
         clips, self._clips, spec = self._clips, [], self.spec
         blocks = [
-            self.sieve.scenes(
+            self.scene_filter.scenes(
                 kind,
                 [clip for clip in clips if clip.kind == kind],
                 spec.source,
@@ -156,29 +162,29 @@ class SceneExtractor:
         ]
         return [block for block in blocks if block is not None]
 
-    def _counts(self, kind: Kind) -> Counter[str]:
-        return self.sieve.tallies[kind].rejected
+    def _rejected(self, kind: Kind) -> Counter[str]:
+        return self.scene_filter.tallies[kind].rejected
 
-    def _merges(self, moment: BufferedStep) -> None:
-        moments, counts = list(self.tape.moments), self._counts("merge")
-        found = (merge_of(change, moments, self._numbers, self.spec.rules, counts) for change in moment.changes)
-        self._waiting += [window for window in found if window is not None]
+    def _find_merges(self, step: BufferedStep) -> None:
+        steps, counts = list(self.buffer.steps), self._rejected("merge")
+        found = (merge_window(change, steps, self._numbers, self.spec.rules, counts) for change in step.changes)
+        self._windows += [window for window in found if window is not None]
 
-    def _chains(self, moment: BufferedStep) -> None:
-        """A few of the rows of three that were there for the last T steps; no vehicle in two of them."""
+    def _find_chains(self, step: BufferedStep) -> None:
+        """Add up to `Rules.at_once` chains of the last T steps, drawn at random; no vehicle is in two of them."""
         rules, taken, found = self.spec.rules, set(), 0
-        moments = list(self.tape.moments)[-rules.following_steps - 1 :]
-        rows = chains(moments, self.tape.stretch.lanes, self._counts("car_following"))
-        for k in self._rng.permutation(len(rows)):
-            trio = rows[k]
-            if found == rules.at_once or taken & set(trio) or self.sieve.worn("car_following", trio):
+        steps = list(self.buffer.steps)[-rules.following_steps - 1 :]
+        chains = following_chains(steps, self.buffer.section.lanes, self._rejected("car_following"))
+        for k in self._rng.permutation(len(chains)):
+            trio = chains[k]
+            if found == rules.at_once or taken & set(trio) or self.scene_filter.used_up("car_following", trio):
                 continue
             found, taken = found + 1, taken | set(trio)
-            self._waiting.append(Window("car_following", trio, moment.index - rules.following_steps))
+            self._windows.append(Window("car_following", trio, step.index - rules.following_steps))
 
 
-def _plain(tally: Tally) -> dict[str, Any]:
-    """A tally as JSON has it."""
+def _tally_as_json(tally: Tally) -> dict[str, Any]:
+    """A tally as built-in types, for JSON."""
     return {
         "scenes": tally.scenes,
         "rejected": dict(sorted(tally.rejected.items())),

@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 
 from cosim.scenes.rules import DT
-from cosim.scenes.seed_scenes import Figures, Spec, film
+from cosim.scenes.seed_scenes import SeedSpec, SeedStatistics, extract_scenes
 from cosim.spec.input_files import find_net
 from cosim.sumo import SumoError
 from gri.data.scene_file.schema import Header, writing
@@ -22,14 +22,14 @@ class SeedResult(msgspec.Struct, frozen=True, kw_only=True):
     """The figures of a finished seed; `key` is the hash of everything that its scenes depend on."""
 
     key: str
-    figures: Figures
+    figures: SeedStatistics
     cpu_seconds: float
     """[s] Of the process of the seed and its copies, without the start-up of the worker."""
     peak_mb: float
     """[MB] Resident memory of the process of the seed."""
 
 
-def seed_task(folder: Path, spec: Spec) -> Figures:
+def seed_task(folder: Path, spec: SeedSpec) -> SeedStatistics:
     """Write the scenes of one seed into its folder (the function of a `cosim.process.task.Task`).
 
     Errors: `InputError` where SUMO refuses the scenario.
@@ -39,6 +39,6 @@ def seed_task(folder: Path, spec: Spec) -> Figures:
             tempfile.TemporaryDirectory(prefix="cosim-scenes-") as scratch,
             writing(folder / SCENES, Header(dt=DT)) as write,
         ):
-            return film(spec, find_net(spec.scenario.net), Path(scratch), write)
+            return extract_scenes(spec, find_net(spec.scenario.net), Path(scratch), write)
     except SumoError as error:
         raise InputError(f"SUMO refused the scenario: {error}") from error

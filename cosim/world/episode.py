@@ -6,7 +6,7 @@ from enum import StrEnum
 import numpy as np
 from jaxtyping import Bool, Float
 
-from cosim.measures.contacts import net_gap, time_to_collision
+from cosim.measures.surrogate_safety import net_gap, time_to_collision
 from cosim.world.groups import Group
 from cosim.world.snapshot import COLUMNS
 from gri.core.graph import InteractionGraph

@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Int
 
-from cosim.measures.contacts import net_gap
+from cosim.measures.surrogate_safety import net_gap
 from cosim.spec.scenario import CarFollowing, Merge
 from cosim.world.snapshot import Snapshot, Strip
 from gri.core.graph import EdgeType

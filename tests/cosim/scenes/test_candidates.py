@@ -1,15 +1,15 @@
-"""Candidates on hand-made tapes: lanes 0 (right) and 1 (left) of one edge, vehicles a.0 to a.9 are numbers 0 to 9."""
+"""Candidates in hand-made traffic: lanes 0 (right) and 1 (left) of one edge, vehicles a.0 to a.9 are numbers 0 to 9."""
 
 from collections import Counter
 
 import msgspec
 import numpy as np
 
-from cosim.measures.relation_labels import NOBODY
-from cosim.scenes.candidates import Window, chains, merge_of, rows_throughout
-from cosim.scenes.lane_change_requests import Change
+from cosim.measures.relation_labels import NO_VEHICLE
+from cosim.scenes.candidates import Window, following_chains, merge_window, rows_throughout
+from cosim.scenes.lane_change_requests import LaneChangeEvent
 from cosim.scenes.rules import Rules
-from cosim.scenes.trajectory_buffer import COLUMN, COLUMNS, BufferedStep, Lane, Numbers
+from cosim.scenes.trajectory_buffer import COLUMN, COLUMNS, BufferedStep, Lane, VehicleNumbers
 from cosim.world.snapshot import LaneChange
 
 LANES = [Lane("road", np.array([[0.0, y], [100.0, y]]), 100.0, y) for y in (-3.5, 0.0)]
@@ -17,11 +17,11 @@ RULES = Rules()
 STRATEGIC = int(LaneChange.STRATEGIC | LaneChange.LEFT)
 
 
-def moment(index: int, lane: dict[int, int], leader: dict[int, int], v: float = 10.0) -> BufferedStep:
+def buffered_step(index: int, lane: dict[int, int], leader: dict[int, int], v: float = 10.0) -> BufferedStep:
     """Vehicles by number with their lane and leader."""
     values = np.zeros((len(lane), len(COLUMNS)))
     values[:, COLUMN["lane"]] = list(lane.values())
-    values[:, COLUMN["leader"]] = [leader.get(number, NOBODY) for number in lane]
+    values[:, COLUMN["leader"]] = [leader.get(number, NO_VEHICLE) for number in lane]
     values[:, COLUMN["v"]] = v
     ids = [f"a.{number}" for number in lane]
     leaders = [f"a.{leader[number]}" if number in leader else "" for number in lane]
@@ -29,50 +29,54 @@ def moment(index: int, lane: dict[int, int], leader: dict[int, int], v: float = 
 
 
 def test_numbers_say_flow_and_vehicle():
-    numbers = Numbers(["through", "on.ramp"])
-    assert [numbers[name] for name in ("through.7", "on.ramp.12", "")] == [7, 1_000_012, NOBODY]
+    numbers = VehicleNumbers(["through", "on.ramp"])
+    assert [numbers[name] for name in ("through.7", "on.ramp.12", "")] == [7, 1_000_012, NO_VEHICLE]
 
 
 def test_a_chain_keeps_its_order_and_lane_all_through():
     lane, leader = {0: 0, 1: 0, 2: 0, 3: 1}, {0: 1, 1: 2}
     counts: Counter[str] = Counter()
-    assert chains([moment(k, lane, leader) for k in range(4)], LANES, counts) == [(0, 1, 2)]
+    assert following_chains([buffered_step(k, lane, leader) for k in range(4)], LANES, counts) == [(0, 1, 2)]
     assert not counts["leader or lane changes"]
-    other = moment(2, lane, {0: 2, 1: 2})
-    assert chains([moment(0, lane, leader), moment(1, lane, leader), other], LANES, counts) == []
+    other = buffered_step(2, lane, {0: 2, 1: 2})
+    assert (
+        following_chains([buffered_step(0, lane, leader), buffered_step(1, lane, leader), other], LANES, counts) == []
+    )
     assert counts["leader or lane changes"] == 1
-    over = moment(1, lane | {0: 1}, leader)
-    assert chains([moment(0, lane, leader), over], LANES, counts) == []
+    over = buffered_step(1, lane | {0: 1}, leader)
+    assert following_chains([buffered_step(0, lane, leader), over], LANES, counts) == []
 
 
 def test_a_leader_in_another_lane_makes_no_chain():
-    assert chains([moment(k, {0: 0, 1: 0, 2: 1}, {0: 1, 1: 2}) for k in range(3)], LANES, Counter()) == []
+    assert (
+        following_chains([buffered_step(k, {0: 0, 1: 0, 2: 1}, {0: 1, 1: 2}) for k in range(3)], LANES, Counter()) == []
+    )
 
 
-def test_who_is_not_seen_all_through_has_no_rows():
-    both = [moment(0, {5: 0, 6: 0}, {}), moment(1, {6: 0, 5: 0}, {})]
+def test_vehicles_that_are_missing_in_a_step_have_no_rows():
+    both = [buffered_step(0, {5: 0, 6: 0}, {}), buffered_step(1, {6: 0, 5: 0}, {})]
     rows = rows_throughout(both, [6, 5])
     assert rows is not None
     assert rows.tolist() == [[1, 0], [0, 1]]
-    assert rows_throughout([*both, moment(2, {5: 0}, {})], [6, 5]) is None
+    assert rows_throughout([*both, buffered_step(2, {5: 0}, {})], [6, 5]) is None
 
 
-def merge(moments: list[BufferedStep], rules: Rules = RULES, behind: str = "a.1", state: int = STRATEGIC):
+def merge(steps: list[BufferedStep], rules: Rules = RULES, behind: str = "a.1", state: int = STRATEGIC):
     counts: Counter[str] = Counter()
-    change = Change("a.0", 0, 1, state, behind)
-    return merge_of(change, moments, Numbers(["a"]), rules, counts), counts
+    change = LaneChangeEvent("a.0", 0, 1, state, behind)
+    return merge_window(change, steps, VehicleNumbers(["a"]), rules, counts), counts
 
 
-def before(steps: int, **options: float) -> list[BufferedStep]:
-    there = [moment(k, {0: 0, 1: 1, 2: 1}, {1: 2}, **options) for k in range(steps)]
-    return [*there, moment(steps, {0: 1, 1: 1, 2: 1}, {0: 2, 1: 0}, **options)]
+def before(count: int, **options: float) -> list[BufferedStep]:
+    there = [buffered_step(k, {0: 0, 1: 1, 2: 1}, {1: 2}, **options) for k in range(count)]
+    return [*there, buffered_step(count, {0: 1, 1: 1, 2: 1}, {0: 2, 1: 0}, **options)]
 
 
 def test_a_merge_is_cut_so_that_it_happens_in_the_middle():
     assert merge(before(30))[0] == Window("merge", (0, 1, 2), 10)
 
 
-def test_who_came_late_begins_its_scene_late():
+def test_the_window_of_a_late_vehicle_begins_when_it_appears():
     assert merge(before(12))[0] == Window("merge", (0, 1, 2), 0)
     found, counts = merge(before(5))
     assert found is None

@@ -1,10 +1,10 @@
-"""States of scene files out of lane positions."""
+"""States of scene files from positions along lanes."""
 
 import numpy as np
 import pytest
 import torch
 
-from cosim.scenes.scene_states import features
+from cosim.scenes.scene_states import scene_features
 from cosim.scenes.trajectory_buffer import Lane
 from gri.core.dynamics import POINT_MASS_1D, POINT_MASS_2D
 
@@ -22,7 +22,7 @@ def driven(steps: int = 41, step: float = 0.2) -> tuple[np.ndarray, np.ndarray]:
 def test_states_obey_the_papers_point_mass(dynamics):
     s, v = driven()
     d = np.where(np.arange(41) < 20, -3.5, 0.0)[None, None]
-    found = features(s, d, v, 0.2, 3.0)
+    found = scene_features(s, d, v, 0.2, 3.0)
     state = torch.from_numpy(np.stack([found[name] for name in dynamics.state], -1))
     action = dynamics.inverse(state[..., :-1, :], state[..., 1:, :], 0.2)
     torch.testing.assert_close(dynamics.step(state[..., :-1, :], action, 0.2), state[..., 1:, :])
@@ -30,7 +30,7 @@ def test_states_obey_the_papers_point_mass(dynamics):
 
 def test_with_a_finer_step_positions_are_off_by_little():
     s, v = driven(step=0.05)
-    found = features(s, np.zeros_like(s), v, 0.05, 3.0)
+    found = scene_features(s, np.zeros_like(s), v, 0.05, 3.0)
     x = found["x"][0, 0]
     predicted = x[:-1] + 0.2 * found["v"][0, 0, :-1] + 0.02 * found["a"][0, 0, :-1]
     assert np.abs(predicted - x[1:]).max() < 0.03
@@ -39,20 +39,20 @@ def test_with_a_finer_step_positions_are_off_by_little():
 def test_a_lane_change_begins_where_sumo_makes_it_and_takes_three_seconds():
     s, v = driven()
     d = np.where(np.arange(41) < 20, -3.5, 0.0)[None, None]
-    y = features(s, d, v, 0.2, 3.0)["y"][0, 0]
+    y = scene_features(s, d, v, 0.2, 3.0)["y"][0, 0]
     assert np.abs(y[:19] + 3.5).max() < 0.02
     assert np.abs(y[36:]).max() < 0.02
     assert (np.diff(y) > -1e-9).all()
     assert y[26] == pytest.approx(-1.75, abs=0.3)
-    heading = features(s, d, v, 0.2, 3.0)["heading"][0, 0]
+    heading = scene_features(s, d, v, 0.2, 3.0)["heading"][0, 0]
     assert heading.max() == pytest.approx(np.arctan2(1.875 * 3.5 / 3.0, 10), rel=0.1)
-    assert (np.diff(features(s, d, v, 0.2, 0.0)["y"][0, 0]) != 0).sum() <= 3
+    assert (np.diff(scene_features(s, d, v, 0.2, 0.0)["y"][0, 0]) != 0).sum() <= 3
 
 
 def test_a_lane_change_after_the_last_step_does_not_show():
     s, v = driven()
     d = np.where(np.arange(41) < 40, -3.5, 0.0)[None, None]
-    found = features(s, d, v, 0.2, 3.0)
+    found = scene_features(s, d, v, 0.2, 3.0)
     assert np.abs(found["y"] + 3.5).max() == 0
     assert np.abs(found["ay"]).max() == 0
 

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from cosim.scenes.rules import HYPOTHESIS, Rules
-from cosim.scenes.seed_scenes import Figures, Spec, film
+from cosim.scenes.seed_scenes import SeedSpec, SeedStatistics, extract_scenes
 from cosim.spec.input_files import find_net
 from cosim.spec.loading import load_scenario
 from cosim.spec.scenario import CarFollowing, Merge, Scenario
@@ -22,18 +22,18 @@ def short(**changes: float) -> Scenario:
     return msgspec.structs.replace(scenario, traffic=traffic, **{"time_limit": 60.0, **changes})
 
 
-def filmed(folder: Path, scenario: Scenario, **options: object) -> tuple[pd.DataFrame, Figures]:
-    spec = Spec(**{"scenario": scenario, "source": "test", "split": "train", "kinds": ("car_following", "merge"),
+def extracted(folder: Path, scenario: Scenario, **options: object) -> tuple[pd.DataFrame, SeedStatistics]:
+    spec = SeedSpec(**{"scenario": scenario, "source": "test", "split": "train", "kinds": ("car_following", "merge"),
                    "count": 4, "gold": False, "rules": Rules()} | options)  # fmt: skip
     path = folder / "scenes.parquet"
     with writing(path, Header(dt=0.2)) as write:
-        figures = film(spec, find_net("us101"), folder, write)
+        figures = extract_scenes(spec, find_net("us101"), folder, write)
     return pd.read_parquet(path), figures
 
 
 @pytest.fixture(scope="module")
 def scenes(tmp_path_factory) -> pd.DataFrame:
-    return filmed(tmp_path_factory.mktemp("film"), short())[0]
+    return extracted(tmp_path_factory.mktemp("scenes"), short())[0]
 
 
 def test_the_hypothesis_is_the_papers():
@@ -79,23 +79,23 @@ def test_every_scene_has_interaction_and_its_graph_says_what_its_steps_say(scene
 @pytest.mark.slow
 def test_the_same_seed_gives_the_same_scenes_and_another_others(tmp_path: Path, scenes):
     (tmp_path / "again").mkdir()
-    again, _ = filmed(tmp_path / "again", short())
+    again, _ = extracted(tmp_path / "again", short())
     pd.testing.assert_frame_equal(again, scenes)
     (tmp_path / "other").mkdir()
-    other, _ = filmed(tmp_path / "other", short(seed=2))
+    other, _ = extracted(tmp_path / "other", short(seed=2))
     assert not other["x"].equals(scenes["x"])
 
 
 def test_quotas_bound_what_is_common(tmp_path: Path):
     rules = Rules(at_most={"follow": 0.5})
-    found, figures = filmed(tmp_path, short(), kinds=("car_following",), rules=rules)
+    found, figures = extracted(tmp_path, short(), kinds=("car_following",), rules=rules)
     assert found["scene"].nunique() == 2
     assert figures.tallies["car_following"]["rejected"]["enough scenes with follow"] > 0
 
 
 @pytest.mark.slow
 def test_interventions_agree_with_the_rules_of_following(tmp_path: Path):
-    found, figures = filmed(tmp_path, short(), kinds=("car_following",), count=3, gold=True)
+    found, figures = extracted(tmp_path, short(), kinds=("car_following",), count=3, gold=True)
     counts = np.array(figures.tallies["car_following"]["rule_gold"])
     assert counts.sum() == 3 * 30 * 6
     assert np.trace(counts) / counts.sum() > 0.97
@@ -104,7 +104,7 @@ def test_interventions_agree_with_the_rules_of_following(tmp_path: Path):
 
 
 def test_a_finer_step_gives_scenes_of_the_same_rate(tmp_path: Path):
-    found, figures = filmed(tmp_path, short(step=0.1), kinds=("car_following",), count=2)
+    found, figures = extracted(tmp_path, short(step=0.1), kinds=("car_following",), count=2)
     assert found["scene"].nunique() == 2
     assert sorted(found["time"].drop_duplicates().diff().dropna().round(3).unique())[0] == 0.2
     assert figures.steps == round(figures.simulated / 0.1)

@@ -1,10 +1,11 @@
-"""Oriented boxes and surrogate measures, against numbers worked by hand and against a brute-force test."""
+"""The collision test of oriented boxes, against numbers worked by hand and against a brute-force test."""
 
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim.measures.contacts import net_gap, overlaps, time_to_collision
+from cosim.measures.collision_detection import overlapping_pairs
+from cosim.measures.surrogate_safety import net_gap, time_to_collision
 
 
 def _boxes(*poses: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -15,13 +16,13 @@ def _boxes(*poses: tuple[float, float, float]) -> tuple[np.ndarray, np.ndarray, 
 
 def test_front_bumper_is_the_reference_point():
     # Boxes are 4 m long: fronts at 0 and 3.9 m overlap, at 0 and 4.0 m they touch, which is no overlap.
-    assert overlaps(*_boxes((0, 0, 0), (3.9, 0, 0)), np.array([0])).size
-    assert not overlaps(*_boxes((0, 0, 0), (4.0, 0, 0)), np.array([0])).size
+    assert overlapping_pairs(*_boxes((0, 0, 0), (3.9, 0, 0)), np.array([0])).size
+    assert not overlapping_pairs(*_boxes((0, 0, 0), (4.0, 0, 0)), np.array([0])).size
 
 
 def test_neighbours_in_the_next_lane_do_not_touch():
-    assert not overlaps(*_boxes((0, 0, 0), (0, 2.0, 0)), np.array([0])).size
-    assert overlaps(*_boxes((0, 0, 0), (0, 1.9, 0)), np.array([0])).size
+    assert not overlapping_pairs(*_boxes((0, 0, 0), (0, 2.0, 0)), np.array([0])).size
+    assert overlapping_pairs(*_boxes((0, 0, 0), (0, 1.9, 0)), np.array([0])).size
 
 
 def test_rotated_box_needs_its_own_axes():
@@ -29,12 +30,12 @@ def test_rotated_box_needs_its_own_axes():
     # box the corner lies at w = (-2.5 + 0.5) / sqrt(2) = -1.41, beyond its side, though their bounding boxes overlap.
     # With the front at (1.8, 0.5) the corner lies at w = -0.92, inside.
     far, near = (2.5, 0.5, -np.pi / 4), (1.8, 0.5, -np.pi / 4)
-    assert not overlaps(*_boxes((0, 0, 0), far), np.array([0])).size
-    assert overlaps(*_boxes((0, 0, 0), near), np.array([0])).size
+    assert not overlapping_pairs(*_boxes((0, 0, 0), far), np.array([0])).size
+    assert overlapping_pairs(*_boxes((0, 0, 0), near), np.array([0])).size
 
 
-def test_a_box_does_not_hit_itself_and_rows_choose_who_is_tested():
-    hits = overlaps(*_boxes((0, 0, 0), (1, 0, 0), (50, 0, 0)), np.array([1, 2]))
+def test_a_box_does_not_hit_itself_and_rows_select_the_tested_vehicles():
+    hits = overlapping_pairs(*_boxes((0, 0, 0), (1, 0, 0), (50, 0, 0)), np.array([1, 2]))
     assert hits.tolist() == [[1, 0]]
 
 
@@ -44,7 +45,7 @@ pose = st.tuples(st.floats(-6, 6), st.floats(-6, 6), st.floats(-3.1, 3.1))
 @given(pose, pose)
 def test_overlap_is_symmetric_and_agrees_with_sampling(a, b):
     boxes = _boxes(a, b)
-    hits = overlaps(*boxes, np.array([0, 1])).tolist()
+    hits = overlapping_pairs(*boxes, np.array([0, 1])).tolist()
     assert hits in ([], [[0, 1], [1, 0]])
     if _sampled_overlap(a, b):
         assert hits
