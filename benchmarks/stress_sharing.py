@@ -15,7 +15,7 @@ import torch
 from msgspec.structs import replace
 
 from cosim.spec.loading import load_scenario
-from cosim.stress.chunk import rows_of
+from cosim.stress.chunk import chunk_rows
 from cosim.stress.plan import Chunk, chunks, policies_of, sweeps_of
 
 KINDS = ("headway_ratio", "leader_braking", "observation_noise", "latency", "action_delay")
@@ -29,7 +29,7 @@ def cpu() -> float:
 def cost(chunk: Chunk) -> tuple[float, int]:
     """CPU seconds and rows."""
     began = cpu()
-    rows = rows_of(chunk, lambda *_: None)
+    rows = chunk_rows(chunk, lambda *_: None)
     return cpu() - began, len(rows)
 
 

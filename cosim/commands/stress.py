@@ -46,9 +46,13 @@ def stress(
     began = time.monotonic()
     try:
         with ProgressDisplay() as progress:
-            rows, made = run_stress(parts, folder, workers, progress)
+            rows, computation = run_stress(parts, folder, workers, progress)
             command = shlex.join(["cosim", *sys.argv[1:]])
-            facts = {"command": command, "worker_seconds": round(made.seconds, 1), "commits": made.commits}
+            facts = {
+                "command": command,
+                "worker_seconds": round(computation.worker_seconds, 1),
+                "commits": computation.commits,
+            }
             facts |= {"starts": starts, "workers": workers}
             written = publish(parts, rows, folder, facts)
     except KeyboardInterrupt:

@@ -1,4 +1,4 @@
-"""One chunk of a stress test: one simulation, at each round a branch per cell and policy."""
+"""One chunk of a stress test: one simulation, and at each round one branch per cell and policy."""
 
 import dataclasses
 import json
@@ -21,29 +21,29 @@ from cosim.process.fork import CAN_FORK, fork
 from cosim.runs.policy_loading import driver_of
 from cosim.spec.input_files import find_net
 from cosim.spec.scenario import Scenario
-from cosim.stress.plan import Cell, Chunk, perturbed
-from cosim.stress.result_rows import row_of
+from cosim.stress.plan import Cell, Chunk, perturbed_scenario
+from cosim.stress.result_rows import result_row
 from cosim.sumo import SumoError
 from cosim.traffic.route_file import route_file
 from cosim.world.groups import SAME_LANE, Group
 from cosim.world.snapshot import Snapshot
 from gri.errors import InputError
 
-APART = 100.0  # [m] along one lane between two groups of a round, so that they do not meet
-BETWEEN_ROUNDS = 4  # looks, a second each, that are passed over after a round
+MIN_GROUP_DISTANCE = 100.0  # [m] along one lane between two groups of a round, so that they do not interact
+PAUSE = 4  # times that the trunk looks for groups, once a second, and that are skipped after a round
 
 Rows = list[dict[str, Any]]
 
 
 def stress_chunk(chunk: Chunk, paths: Mapping[str, Path], facts: Mapping[str, Any], tell: Callable[..., None]) -> None:
-    """Compute a chunk and write the rows of each of its parts to the path of its key, with the facts beside them.
+    """Compute a chunk and write the rows of each of its parts to the path of its key, with `facts` as JSON beside.
 
-    Every file appears whole or not at all. The seconds it took are shared among the parts evenly.
+    A file appears whole or not at all. The wall-clock time [s] is shared evenly among the parts.
     """
     torch.set_num_threads(1)
     began, parts = time.monotonic(), chunk.parts
-    rows = pd.DataFrame(rows_of(chunk, tell)).assign(seed=chunk.scenario.seed)
-    rows = rows.astype({"intensity": float})  # of nominal rows alone it would be a column of objects
+    rows = pd.DataFrame(chunk_rows(chunk, tell)).assign(seed=chunk.scenario.seed)
+    rows = rows.astype({"intensity": float})  # nominal rows only would give a column of objects
     seconds = round((time.monotonic() - began) / len(parts), 2)
     for part in parts:
         path, (name,) = paths[part.key], part.policies
@@ -54,13 +54,13 @@ def stress_chunk(chunk: Chunk, paths: Mapping[str, Path], facts: Mapping[str, An
         os.replace(partial, path)
 
 
-def rows_of(chunk: Chunk, tell: Callable[..., None]) -> Rows:
-    """A row per start, cell and policy."""
+def chunk_rows(chunk: Chunk, tell: Callable[..., None]) -> Rows:
+    """One row per start, cell and policy. Raises `InputError` if the traffic has too few starts, or without fork."""
     if not CAN_FORK:
         raise InputError("stress tests share one warm-up by forking the process, which this system cannot")
     scenario, rows, starts = chunk.scenario, [], 0
     drivers = {name: driver_of(replace(scenario, policy=policy)) for name, policy in chunk.policies.items()}
-    cells = {cell: perturbed(scenario, cell) for cell in chunk.cells}
+    cells = {cell: perturbed_scenario(scenario, cell) for cell in chunk.cells}
     end = scenario.traffic.warm_up + scenario.time_limit
     with tempfile.TemporaryDirectory() as scratch:
         files = Files(find_net(scenario.net), Path(scratch, "routes.rou.xml"), Path(scratch, "sumo.log"))
@@ -71,12 +71,12 @@ def rows_of(chunk: Chunk, tell: Callable[..., None]) -> Rows:
                 trunk.warm_up(lambda *_: None)
                 while starts < chunk.starts and trunk.time < end:
                     history = trunk.look()
-                    task = apart(trunk.find(history, limit=chunk.starts - starts), history[-1])
+                    task = well_separated(trunk.find(history, limit=chunk.starts - starts), history[-1])
                     if task.groups:
                         starts += len(task.groups)
-                        rows += branches(road, history, task, cells, drivers)
+                        rows += round_rows(road, history, task, cells, drivers)
                         tell("starts", starts, chunk.starts)
-                        for _ in range(BETWEEN_ROUNDS):
+                        for _ in range(PAUSE):
                             trunk.look()
         except SumoError as error:
             raise InputError(f"SUMO refused the scenario: {error}") from error
@@ -88,22 +88,22 @@ def rows_of(chunk: Chunk, tell: Callable[..., None]) -> Rows:
     return rows
 
 
-def apart(task: Round, now: Snapshot) -> Round:
-    """The round without groups that are within APART of one before them in the same lane."""
-    kept: list[Group] = []
+def well_separated(task: Round, now: Snapshot) -> Round:
+    """The round without the groups that are within MIN_GROUP_DISTANCE of an earlier one in the same lane."""
+    chosen: list[Group] = []
     place = {vehicle: (float(s), float(d)) for vehicle, s, d in zip(now.ids, now.s, now.d, strict=True)}
 
     def near(one: Group, other: Group) -> bool:
         pairs = [(place[a], place[b]) for a in one.ids for b in other.ids]
-        return any(abs(a[0] - b[0]) < APART and abs(a[1] - b[1]) < SAME_LANE for a, b in pairs)
+        return any(abs(a[0] - b[0]) < MIN_GROUP_DISTANCE and abs(a[1] - b[1]) < SAME_LANE for a, b in pairs)
 
     for group in task.groups:
-        if not any(near(group, other) for other in kept):
-            kept.append(group)
-    return dataclasses.replace(task, groups=tuple(kept))
+        if not any(near(group, other) for other in chosen):
+            chosen.append(group)
+    return dataclasses.replace(task, groups=tuple(chosen))
 
 
-def branches(
+def round_rows(
     road: RunningSimulation,
     history: Sequence[Snapshot],
     task: Round,
@@ -125,11 +125,11 @@ def branches(
 
 
 def branch_rows(road: RunningSimulation, begin: Start, intervention: Intervention, before: Snapshot) -> Rows:
-    """Drive a perturbed round; this changes the world."""
+    """Drive a perturbed round and return its rows. This changes the simulation, so it runs in a branch."""
     episodes = drive(road.world, road.frame, begin)
-    trace, owned, gone = intervention.trace, begin.task.owned, intervention.third_gone
+    trace, driven, third_gone = intervention.trace, begin.task.owned, intervention.third_gone
     return [
-        _labels(episode.group) | {"infeasible": ""} | row_of(episode, change, before, trace, owned, gone)
+        _labels(episode.group) | {"infeasible": ""} | result_row(episode, change, before, trace, driven, third_gone)
         for episode, change in zip(episodes, intervention.changes, strict=True)
     ]
 

@@ -1,4 +1,4 @@
-"""From the rows of a stress test to estimates with intervals, and to differences on the same starts."""
+"""Estimates with intervals, and paired differences on the same starts, from the rows of a stress test."""
 
 from collections.abc import Callable
 
@@ -9,61 +9,72 @@ from cosim.batch.group_statistics import SHORT_TTC, Measure
 
 CELL = ["perturbation", "intensity", "policy"]
 START = ["seed", "start"]
-LONG = 30.0  # [s], times longer than that count as that
-HARD = 20.0  # [m/s^2], likewise for decelerations that a contact would have taken
-WIDE = 100.0  # [m], likewise for gaps
+# Larger values count as these, so that infinite ones (no conflict, or a contact) can be averaged.
+TIME_CAP = 30.0  # [s]
+DECELERATION_CAP = 20.0  # [m/s²]
+GAP_CAP = 100.0  # [m]
 
 
-def _of(column: str, cap: float = np.inf, sign: int = 1) -> Callable[[pd.DataFrame], pd.Series]:
+def _capped(column: str, cap: float = np.inf, sign: int = 1) -> Callable[[pd.DataFrame], pd.Series]:
+    """Reads a column, times `sign`, with values above `cap` counted as `cap`."""
     return lambda rows: sign * rows[column].astype(float).clip(upper=cap)
 
 
 MEASURES = (
     Measure("success", "success", "share", lambda g: g["success"], share=True),
     Measure("contact", "collision", "share", lambda g: g["contact"], share=True, better=-1),
-    Measure("min_ttc", "min TTC", "s", _of("min_ttc", LONG), median=True),
+    Measure("min_ttc", "minimum TTC", "s", _capped("min_ttc", TIME_CAP), median=True),
     Measure("short_ttc", f"TTC < {SHORT_TTC:g} s", "share", lambda g: g["min_ttc"] < SHORT_TTC, share=True, better=-1),
-    Measure("max_drac", "max DRAC", "m/s²", _of("max_drac", HARD), median=True, better=-1),
-    Measure("min_pet", "min PET", "s", _of("min_pet", LONG), median=True),
-    Measure("min_gap", "min gap", "m", _of("min_gap", WIDE), median=True),
-    Measure("min_headway", "min time headway", "s", _of("min_headway", LONG), median=True),
-    Measure("jerk_50", "|jerk| 50 %", "m/s³", _of("jerk_50"), median=True, better=-1),
-    Measure("jerk_95", "|jerk| 95 %", "m/s³", _of("jerk_95"), median=True, better=-1),
-    Measure("jerk_99", "|jerk| 99 %", "m/s³", _of("jerk_99"), median=True, better=-1),
-    Measure("hard_brake", "hard brake", "share", lambda g: g["hard_brakings"] > 0, share=True, better=-1),
-    Measure("lateral_change", "Δy", "m", _of("lateral_change"), better=-1),
-    Measure("follower_braking", "follower brakes", "m/s²", _of("follower_min_acceleration", sign=-1), better=-1),
-    Measure("follower_speed_loss", "follower loses", "m/s", _of("follower_speed_loss"), better=-1),
+    Measure("max_drac", "maximum DRAC", "m/s²", _capped("max_drac", DECELERATION_CAP), median=True, better=-1),
+    Measure("min_pet", "minimum PET", "s", _capped("min_pet", TIME_CAP), median=True),
+    Measure("min_gap", "minimum gap", "m", _capped("min_gap", GAP_CAP), median=True),
+    Measure("min_headway", "minimum time headway", "s", _capped("min_headway", TIME_CAP), median=True),
+    Measure("jerk_50", "|jerk|, median", "m/s³", _capped("jerk_50"), median=True, better=-1),
+    Measure("jerk_95", "|jerk|, 95th percentile", "m/s³", _capped("jerk_95"), median=True, better=-1),
+    Measure("jerk_99", "|jerk|, 99th percentile", "m/s³", _capped("jerk_99"), median=True, better=-1),
+    Measure("hard_brake", "hard braking", "share", lambda g: g["hard_brakings"] > 0, share=True, better=-1),
+    Measure("lateral_change", "Δy", "m", _capped("lateral_change"), better=-1),
+    Measure(
+        "follower_braking",
+        "hardest braking of follower",
+        "m/s²",
+        _capped("follower_min_acceleration", sign=-1),
+        better=-1,
+    ),
+    Measure("follower_speed_loss", "speed loss of follower", "m/s", _capped("follower_speed_loss"), better=-1),
 )
 COMPARED = ("success", "contact", "min_ttc", "max_drac", "min_gap", "jerk_95", "follower_braking")
 
 
 def counted(rows: pd.DataFrame) -> pd.DataFrame:
-    """The drives that started, and that nobody else broke up."""
+    """The counted rows: feasible starts whose group was not broken up by other vehicles."""
     started = rows[rows["infeasible"] == ""]
     return started[started["counted"].astype(bool)]
 
 
 def counts(rows: pd.DataFrame) -> pd.DataFrame:
-    """Per cell and policy: starts, infeasible ones with reasons, interrupted ones, counted ones, and who hit whom."""
+    """One row per cell and policy with numbers of starts.
+
+    Columns: starts, infeasible (with reasons in `why`), interrupted, n (counted), and hits (contacts, e.g. "2 0→1").
+    """
     found = []
     for key, part in rows.groupby(CELL, dropna=False, sort=False):
-        started, whole = part[part["infeasible"] == ""], counted(part)
+        started, complete = part[part["infeasible"] == ""], counted(part)
         found.append(
             dict(zip(CELL, key, strict=True))
             | {
                 "starts": len(part),
                 "infeasible": len(part) - len(started),
-                "why": _listed(part.loc[part["infeasible"] != "", "infeasible"]),
-                "interrupted": len(started) - len(whole),
-                "n": len(whole),
-                "hits": _listed(whole.loc[whole["hit"] != "", "hit"]),
+                "why": _frequencies(part.loc[part["infeasible"] != "", "infeasible"]),
+                "interrupted": len(started) - len(complete),
+                "n": len(complete),
+                "hits": _frequencies(complete.loc[complete["hit"] != "", "hit"]),
             }
         )
     return pd.DataFrame(found)
 
 
-def _listed(values: pd.Series) -> str:
+def _frequencies(values: pd.Series) -> str:
     return ", ".join(f"{n} {value}" for value, n in values.value_counts().items())
 
 
@@ -82,7 +93,7 @@ def estimates(rows: pd.DataFrame) -> pd.DataFrame:
 
 
 def differences(rows: pd.DataFrame) -> pd.DataFrame:
-    """Every other policy minus the first one, on the starts that both drove to an end."""
+    """One row per cell, policy and measure in COMPARED: this policy minus the first one on the same starts."""
     policies = list(dict.fromkeys(rows["policy"]))
     found = []
     for (kind, intensity), part in counted(rows).groupby(CELL[:2], dropna=False, sort=False):

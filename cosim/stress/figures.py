@@ -1,4 +1,4 @@
-"""Curves over intensity, one figure per perturbation, in the manner of the paper's figures 8 to 11."""
+"""Measures over intensity, one figure per perturbation, in the style of the paper's figures 8 to 11."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,10 +12,10 @@ from matplotlib.figure import Figure
 from cosim.batch.group_statistics import Measure
 from cosim.spec.perturbations import KINDS
 from cosim.stress.estimates import MEASURES
-from cosim.stress.plan import NOMINAL, OF_TRAFFIC
+from cosim.stress.plan import NOMINAL, TRAFFIC_KINDS
 
 PANELS = ("success", "contact", "min_ttc", "min_gap", "jerk_95", "follower_braking")
-ACROSS = "lateral_change"  # instead of the jerk where vehicles change lanes
+LATERAL = "lateral_change"  # shown instead of the jerk where vehicles change lanes
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "0.45", "#E69F00", "#56B4E9", "#882255")
 MARKERS = "osD^vXP*"
 STYLE: dict[Any, Any] = {
@@ -28,11 +28,16 @@ STYLE: dict[Any, Any] = {
 }
 
 
-def draw(estimates: pd.DataFrame, kinds: list[str], folder: Path, *, across: bool) -> list[Path]:
-    """PNG and SVG of each perturbation that some start was feasible for; `across`: vehicles change lanes."""
+def draw(estimates: pd.DataFrame, kinds: list[str], folder: Path, *, lane_changes: bool) -> list[Path]:
+    """Draw each perturbation that has a counted start, as PNG and SVG; returns the files.
+
+    `lane_changes`: whether the groups change lanes, so that Δy replaces the jerk.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     shown = [kind for kind in kinds if (estimates["perturbation"] == kind).any()]
-    return [path for kind in shown for path in _saved(curves(estimates, kind, across=across), folder / kind)]
+    return [
+        path for kind in shown for path in _saved(curves(estimates, kind, lane_changes=lane_changes), folder / kind)
+    ]
 
 
 def _saved(figure: Figure, stem: Path) -> Iterator[Path]:
@@ -43,9 +48,9 @@ def _saved(figure: Figure, stem: Path) -> Iterator[Path]:
         yield path
 
 
-def curves(estimates: pd.DataFrame, kind: str, *, across: bool = False) -> Figure:
-    """Measures over the intensity of one perturbation, a line per policy with its 95 % band; hollow: undisturbed."""
-    spec, names = KINDS[kind], [ACROSS if across and name == "jerk_95" else name for name in PANELS]
+def curves(estimates: pd.DataFrame, kind: str, *, lane_changes: bool = False) -> Figure:
+    """Six measures over the intensity of one perturbation, one line per policy with its 95 % band."""
+    spec, names = KINDS[kind], [LATERAL if lane_changes and name == "jerk_95" else name for name in PANELS]
     measures = [next(measure for measure in MEASURES if measure.name == name) for name in names]
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(10, 5.6), layout="constrained")
@@ -53,16 +58,18 @@ def curves(estimates: pd.DataFrame, kind: str, *, across: bool = False) -> Figur
         for axis, measure in zip(axes.flat, measures, strict=True):
             _panel(axis, estimates[estimates["measure"] == measure.name], kind, measure)
         for axis in axes[-1]:
-            axis.set_xlabel(f"{spec.symbol} [{spec.unit}]" if spec.unit else spec.symbol)
+            axis.set_xlabel(f"intensity {spec.symbol} [{spec.unit}]" if spec.unit else f"intensity {spec.symbol}")
         handles, labels = axes[0][0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncol=len(labels), frameon=False)
-        figure.suptitle(f"{kind.replace('_', ' ')} (bands: 95 %; hollow: undisturbed)", x=0.01, ha="left")
+        figure.suptitle(
+            f"{kind.replace('_', ' ')} (bands: 95 % intervals; hollow markers: without perturbation)", x=0.01, ha="left"
+        )
     return figure
 
 
 def _panel(axis: Axes, part: pd.DataFrame, kind: str, measure: Measure) -> None:
     scale = 100.0 if measure.share else 1.0
-    neutral = None if kind in OF_TRAFFIC else KINDS[kind].neutral
+    neutral = None if kind in TRAFFIC_KINDS else KINDS[kind].neutral
     for k, policy in enumerate(dict.fromkeys(part["policy"])):
         mine = part[part["policy"] == policy]
         line = mine[mine["perturbation"] == kind].sort_values("intensity")
@@ -75,5 +82,5 @@ def _panel(axis: Axes, part: pd.DataFrame, kind: str, measure: Measure) -> None:
     axis.set_ylabel(f"{measure.title} [{'%' if measure.share else measure.unit}]")
     if measure.share:
         axis.set_ylim(-3, 103)
-    elif measure.name != ACROSS:
+    elif measure.name != LATERAL:
         axis.set_ylim(bottom=0)

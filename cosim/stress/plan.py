@@ -1,7 +1,7 @@
-"""What a stress test does: policies × (nominal + perturbations × intensities), in chunks that share a warm-up.
+"""The plan of a stress test: policies × (nominal + perturbations × intensities), in chunks that share a warm-up.
 
-All perturbations of what happens at or after the take-over start from the same undisturbed traffic, so one warmed-up
-simulation serves all of them; those of the traffic itself need a simulation each, and have other starts.
+Perturbations that act at or after the take-over start from the same undisturbed traffic, so that one warmed-up
+simulation serves all of them. Perturbations of the traffic itself need a simulation each and have other starts.
 """
 
 import hashlib
@@ -20,21 +20,21 @@ from cosim.spec.perturbations import KINDS, AggressiveDrivers, DenserDemand, Low
 from cosim.spec.scenario import CarFollowing, ConstantVelocity, Driver, Idm, LeftToSumo, Scenario, Trained
 from gri.errors import InputError
 
-FORMAT = 3  # of a chunk's rows; a new number computes every chunk again
+FORMAT = 3  # of the rows of a chunk; with a new number every chunk is computed again
 NOMINAL = "nominal"
 STARTS_PER_CHUNK = 10
 GROUPS_AT_ONCE = 12
 PACKAGES = ("gri-cosim", "libsumo", "numpy", "torch")  # whose versions a chunk depends on
-OF_TRAFFIC = tuple(
+TRAFFIC_KINDS = tuple(
     str(kind.__struct_config__.tag) for kind in (DenserDemand, MoreTrucks, AggressiveDrivers, LowFriction)
 )
-ONE_LANE = {"headway_ratio": (0.15, 0.3, 0.45, 0.6, 0.7)}  # default intensities where δ ≥ 1 is impossible
+ONE_LANE_INTENSITIES = {"headway_ratio": (0.15, 0.3, 0.45, 0.6, 0.7)}  # default intensities where δ ≥ 1 is impossible
 BASELINES: dict[str, Driver] = {"idm": Idm(), "constant_velocity": ConstantVelocity(), "sumo": LeftToSumo()}
 
 
 @dataclass(frozen=True)
 class Cell:
-    """One perturbation at one intensity; the nominal one has neither."""
+    """One perturbation at one intensity; the nominal cell has no intensity."""
 
     perturbation: str = NOMINAL
     intensity: float | None = None
@@ -43,7 +43,7 @@ class Cell:
 class Chunk(Struct, frozen=True):
     """A part of a stress test that runs in one simulation: `starts` groups, each driven by all policies in all cells.
 
-    The scenario has the seed and, if its only cell is one of the traffic, that traffic.
+    The scenario has the seed of the chunk. If the only cell is a perturbation of traffic, it has that traffic, too.
     """
 
     scenario: Scenario
@@ -53,7 +53,7 @@ class Chunk(Struct, frozen=True):
 
     @property
     def key(self) -> str:
-        """Hash of all that the chunk's rows depend on."""
+        """Hash of everything on which the rows of the chunk depend."""
         used = {name: driver.checkpoint for name, driver in self.policies.items() if isinstance(driver, Trained)}
         facts = {
             "format": FORMAT,
@@ -66,8 +66,9 @@ class Chunk(Struct, frozen=True):
 
     @property
     def parts(self) -> tuple["Chunk", ...]:
-        """The chunk by kind of perturbation and policy, whose rows are kept apart: who adds a policy or a kind to a
-        stress test need not drive the others again.
+        """The chunk split by kind of perturbation and policy.
+
+        Each part has a file of its own, so that a stress test with one more policy or kind reuses the other parts.
         """
         kinds = dict.fromkeys(cell.perturbation for cell in self.cells)
         return tuple(
@@ -76,8 +77,8 @@ class Chunk(Struct, frozen=True):
             for name, driver in self.policies.items()
         )
 
-    def around(self, parts: Sequence["Chunk"]) -> "Chunk":
-        """The smallest chunk that has all these parts of it."""
+    def covering(self, parts: Sequence["Chunk"]) -> "Chunk":
+        """The smallest part of this chunk that covers all these parts."""
         names, cells = {name for part in parts for name in part.policies}, {c for part in parts for c in part.cells}
         return replace(
             self,
@@ -86,8 +87,8 @@ class Chunk(Struct, frozen=True):
         )
 
 
-def perturbed(scenario: Scenario, cell: Cell) -> Scenario:
-    """The scenario with the cell's perturbation (and none of its own), checked; the traffic is left as it is."""
+def perturbed_scenario(scenario: Scenario, cell: Cell) -> Scenario:
+    """The scenario with the perturbation of the cell instead of its own ones, checked; its traffic is unchanged."""
     block = [] if cell.intensity is None else [{"kind": cell.perturbation, "intensity": cell.intensity}]
     return override(scenario, {"perturbations": block})
 
@@ -95,41 +96,48 @@ def perturbed(scenario: Scenario, cell: Cell) -> Scenario:
 def chunks(
     scenario: Scenario, policies: Mapping[str, Driver], sweeps: Mapping[str, Sequence[float]], starts: int
 ) -> tuple[Chunk, ...]:
-    """The parts of a stress test; the i-th block of STARTS_PER_CHUNK starts has the scenario's seed + i.
+    """The chunks of a stress test; the i-th block of STARTS_PER_CHUNK starts has the scenario's seed + i.
 
-    Nobody is watched after the drive, and as many groups as there are without meeting are taken at once.
+    Groups are not observed after the drive, and up to GROUPS_AT_ONCE groups that are far apart are driven together.
+    Raises `InputError` if an intensity is out of range.
     """
     scenario = replace(scenario, watch=0.0, groups_at_once=GROUPS_AT_ONCE)
-    graded = [Cell(kind, float(x)) for kind, intensities in sweeps.items() for x in intensities]
-    shared = (Cell(), *(cell for cell in graded if cell.perturbation not in OF_TRAFFIC))
+    cells = [Cell(kind, float(x)) for kind, intensities in sweeps.items() for x in intensities]
+    shared = (Cell(), *(cell for cell in cells if cell.perturbation not in TRAFFIC_KINDS))
     found = []
     for i, first in enumerate(range(0, starts, STARTS_PER_CHUNK)):
         seeded, count = replace(scenario, seed=scenario.seed + i), min(STARTS_PER_CHUNK, starts - first)
         for cell in shared:
-            perturbed(seeded, cell)  # refuses intensities out of range
+            perturbed_scenario(seeded, cell)  # raises for intensities out of range
         found.append(Chunk(seeded, dict(policies), shared, count))
-        for cell in graded:
-            if cell.perturbation in OF_TRAFFIC:
-                own = replace(perturbed_traffic(perturbed(seeded, cell)), perturbations=())
+        for cell in cells:
+            if cell.perturbation in TRAFFIC_KINDS:
+                own = replace(perturbed_traffic(perturbed_scenario(seeded, cell)), perturbations=())
                 found.append(Chunk(own, dict(policies), (cell,), count))
     return tuple(found)
 
 
 def sweeps_of(kinds: Sequence[str], intensities: Sequence[float], scenario: Scenario) -> dict[str, tuple[float, ...]]:
-    """The intensities of each kind of perturbation: those given, or the kind's own."""
-    own = ONE_LANE if isinstance(scenario.group, CarFollowing) else {}
+    """The intensities of each kind of perturbation: those given, or the defaults of the kind.
+
+    Raises `InputError` for an unknown kind, or for given intensities with several kinds.
+    """
+    own = ONE_LANE_INTENSITIES if isinstance(scenario.group, CarFollowing) else {}
     for kind in kinds:
         if kind not in KINDS:
             raise InputError(f"--perturbation: unknown kind {kind!r}; the kinds are {', '.join(KINDS)}")
     if intensities and len(kinds) > 1:
-        raise InputError(f"--intensity: got {len(kinds)} perturbations, whose intensities differ; give one of them")
+        raise InputError(
+            f"--intensity: got {len(kinds)} kinds of perturbation, whose intensities differ in scale; give one kind"
+        )
     return {kind: tuple(intensities) or own.get(kind, KINDS[kind].grades) for kind in kinds}
 
 
 def policies_of(names: Sequence[str], scenario: Scenario) -> dict[str, Driver]:
-    """The drivers that names mean: a baseline, a released checkpoint or a path.
+    """The policies by name: a baseline, a released checkpoint, or the path of a checkpoint.
 
-    `gri` is the scenario's own checkpoint, another word like `supervised` the one that has it behind that name.
+    `gri` is the checkpoint C that the scenario names; another word W, such as `supervised`, is the checkpoint "C_W" if
+    there is one. Raises `InputError` for an unknown checkpoint or a name given twice.
     """
     found: dict[str, Driver] = {}
     for name in names:
@@ -142,7 +150,7 @@ def policies_of(names: Sequence[str], scenario: Scenario) -> dict[str, Driver]:
             candidates.append(own if name == "gri" else f"{own}_{name}")
         known = [candidate for candidate in candidates if _exists(candidate)]
         checkpoint = known[0] if known else name
-        checkpoint_path(checkpoint)  # refuses what is not there
+        checkpoint_path(checkpoint)  # raises if there is no such checkpoint
         found[name.removesuffix(".pt").rpartition("/")[2]] = Trained(checkpoint=checkpoint)
     if len(found) < len(names):
         raise InputError(f"--policy: got {', '.join(names)}, expected each policy once, by different names")

@@ -1,4 +1,4 @@
-"""A whole stress test: its chunks in worker processes, then tables and figures."""
+"""A whole stress test: run its chunks in worker processes, then write tables, figures and the report."""
 
 import json
 import multiprocessing
@@ -18,56 +18,60 @@ import pandas as pd
 from cosim.process.worker_process import run_in_worker
 from cosim.spec.input_files import checkpoint_path, find_net, sha256
 from cosim.spec.scenario import Merge, Trained
-from cosim.stress import estimates, figures, markdown
+from cosim.stress import estimates, figures
 from cosim.stress.plan import NOMINAL, PACKAGES, Chunk
+from cosim.stress.report import stress_report
 
 Tell = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
-class Made:
-    """How rows were made: the seconds of workers that they took, and the commits of the source trees."""
+class Computation:
+    """How the rows were computed: wall-clock time summed over workers [s], and the commits of the source trees."""
 
-    seconds: float
+    worker_seconds: float
     commits: list[str]
 
 
-def run_stress(chunks: Sequence[Chunk], folder: Path, workers: int, tell: Tell) -> tuple[pd.DataFrame, Made]:
-    """The rows of all chunks in their order, and how they were made; finished parts are read from the folder."""
-    kept = folder / "chunks"
-    kept.mkdir(parents=True, exist_ok=True)
-    paths = {part.key: kept / f"{part.key}.parquet" for chunk in chunks for part in chunk.parts}
+def run_stress(chunks: Sequence[Chunk], folder: Path, workers: int, tell: Tell) -> tuple[pd.DataFrame, Computation]:
+    """The rows of all chunks in their order, and how they were computed.
+
+    Finished parts in `folder` are reused. `tell` is called with "starts", the starts driven and all starts.
+    """
+    results = folder / "chunks"
+    results.mkdir(parents=True, exist_ok=True)
+    paths = {part.key: results / f"{part.key}.parquet" for chunk in chunks for part in chunk.parts}
     missing = {chunk.key: [part for part in chunk.parts if not paths[part.key].is_file()] for chunk in chunks}
     starts = {chunk.key: 0 if missing[chunk.key] else chunk.starts for chunk in chunks}
     total, facts = sum(chunk.starts for chunk in chunks), {"commit": _commit()}
     tell("starts", sum(starts.values()), total)
 
     def compute(chunk: Chunk) -> None:
-        def told(_: str, done: int, __: int) -> None:
+        def progress(_: str, done: int, __: int) -> None:
             starts[chunk.key] = done
             tell("starts", sum(starts.values()), total)
 
-        wanted, log = chunk.around(missing[chunk.key]), kept / f"{chunk.key}.log"
-        run_in_worker("cosim.stress.chunk:stress_chunk", wanted, paths, facts, log=log, tell=told)
+        wanted, log = chunk.covering(missing[chunk.key]), results / f"{chunk.key}.log"
+        run_in_worker("cosim.stress.chunk:stress_chunk", wanted, paths, facts, log=log, tell=progress)
 
     with ThreadPoolExecutor(workers) as pool:
         _finish([pool.submit(compute, chunk) for chunk in chunks if missing[chunk.key]])
-    rows = pd.concat([_joined(chunk, paths) for chunk in chunks], ignore_index=True)
-    made = [json.loads(path.with_suffix(".json").read_text()) for path in paths.values()]
-    return rows, Made(sum(part["seconds"] for part in made), sorted({part["commit"] for part in made}))
+    rows = pd.concat([_read_rows(chunk, paths) for chunk in chunks], ignore_index=True)
+    records = [json.loads(path.with_suffix(".json").read_text()) for path in paths.values()]
+    return rows, Computation(sum(part["seconds"] for part in records), sorted({part["commit"] for part in records}))
 
 
-def _joined(chunk: Chunk, paths: Mapping[str, Path]) -> pd.DataFrame:
+def _read_rows(chunk: Chunk, paths: Mapping[str, Path]) -> pd.DataFrame:
     """The rows of a chunk's parts, in the order of its cells and policies."""
     rows = pd.concat([pd.read_parquet(paths[part.key]) for part in chunk.parts], ignore_index=True)
     cells = {(cell.perturbation, cell.intensity): k for k, cell in enumerate(chunk.cells)}
     graded = zip(rows["perturbation"], rows["intensity"], strict=True)
-    place = pd.Series([cells[kind, None if np.isnan(x) else x] for kind, x in graded])
-    return rows.loc[place.sort_values(kind="stable").index]
+    order = pd.Series([cells[kind, None if np.isnan(x) else x] for kind, x in graded])
+    return rows.loc[order.sort_values(kind="stable").index]
 
 
 def _finish(futures: Sequence[Future[None]]) -> None:
-    """Wait for all; on the first failure, or Ctrl-C, end the workers of the others."""
+    """Wait for all; at the first failure, or at Ctrl-C, end the workers of the others."""
     try:
         wait(futures, return_when="FIRST_EXCEPTION")
         for future in futures:
@@ -75,15 +79,18 @@ def _finish(futures: Sequence[Future[None]]) -> None:
                 future.result()
     except BaseException:
         running = [future for future in futures if not future.cancel()]
-        while wait(running, timeout=0.2).not_done:  # again and again: one may be about to start its worker
+        while wait(running, timeout=0.2).not_done:  # repeatedly, because one may be about to start its worker
             for process in multiprocessing.active_children():
                 process.terminate()
         raise
 
 
 def publish(chunks: Sequence[Chunk], rows: pd.DataFrame, folder: Path, facts: dict[str, Any]) -> list[Path]:
-    """Write rows, estimates, differences, the report and the figures; returns the files."""
-    scenario, across = chunks[0].scenario, isinstance(chunks[0].scenario.group, Merge)
+    """Write rows, counts, estimates, differences, figures and report to `folder`; returns the files.
+
+    `facts` is written to `stress.json`, together with what is needed to compute the rows again.
+    """
+    scenario = chunks[0].scenario
     kinds = [kind for kind in dict.fromkeys(rows["perturbation"]) if kind != NOMINAL]
     tables = {
         "episodes": rows,
@@ -94,18 +101,17 @@ def publish(chunks: Sequence[Chunk], rows: pd.DataFrame, folder: Path, facts: di
     for name, table in tables.items():
         table.to_parquet(folder / f"{name}.parquet", index=False)
     title = f"Stress test: {scenario.description or scenario.net}"
-    report = folder / "stress.md"
-    report.write_text(
-        markdown.markdown(title, tables["counts"], tables["estimates"], tables["differences"], kinds), encoding="utf-8"
-    )
-    drawn = figures.draw(tables["estimates"], kinds, folder / "figures", across=across)
-    made = folder / "stress.json"
-    made.write_text(json.dumps(facts | provenance(chunks), indent=1) + "\n")
-    return [report, *(folder / f"{name}.parquet" for name in tables), *drawn, made]
+    merges = isinstance(scenario.group, Merge)
+    drawn = figures.draw(tables["estimates"], kinds, folder / "figures", lane_changes=merges)
+    shown = (tables["counts"], tables["estimates"], tables["differences"])
+    report, facts_file = folder / "stress.md", folder / "stress.json"
+    report.write_text(stress_report(title, *shown, kinds, {path.stem for path in drawn}), encoding="utf-8")
+    facts_file.write_text(json.dumps(facts | provenance(chunks), indent=1) + "\n")
+    return [report, *(folder / f"{name}.parquet" for name in tables), *drawn, facts_file]
 
 
 def provenance(chunks: Sequence[Chunk]) -> dict[str, Any]:
-    """What it takes to get the same rows again."""
+    """Everything that is needed to compute the same rows again."""
     trained = {name: driver for name, driver in chunks[0].policies.items() if isinstance(driver, Trained)}
     return {
         "seeds": sorted({chunk.scenario.seed for chunk in chunks}),
@@ -119,7 +125,7 @@ def provenance(chunks: Sequence[Chunk]) -> dict[str, Any]:
 
 
 def _commit() -> str:
-    """The commit of the source tree; "unknown" outside of one."""
+    """The commit of the source tree; "unknown" outside a git repository."""
     try:
         found = subprocess.run(
             ["git", "rev-parse", "HEAD"], cwd=Path(__file__).parent, capture_output=True, text=True, check=True

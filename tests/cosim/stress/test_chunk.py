@@ -1,4 +1,4 @@
-"""Chunks in real traffic: the same starts for everybody, and no branch disturbs another."""
+"""Chunks in real traffic: the same starts for all policies, and no branch disturbs another."""
 
 import pandas as pd
 import pytest
@@ -7,7 +7,7 @@ from msgspec.structs import replace
 from cosim.process.fork import CAN_FORK
 from cosim.spec.scenario import ConstantVelocity, Idm, LeftToSumo
 from cosim.stress import chunk as chunk_module
-from cosim.stress.chunk import rows_of, stress_chunk
+from cosim.stress.chunk import chunk_rows, stress_chunk
 from cosim.stress.plan import NOMINAL, chunks
 
 pytestmark = pytest.mark.skipif(not CAN_FORK, reason="stress tests fork")
@@ -16,7 +16,7 @@ SWEEPS = {"headway_ratio": (0.3, 1.5), "leader_braking": (8.0,), "neighbour_cut_
 
 
 def quiet(*_: object) -> None:
-    """A listener that does not listen."""
+    """Ignores progress."""
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def chunk(short_scenario):
 
 @pytest.fixture(scope="module")
 def rows(chunk) -> pd.DataFrame:
-    return pd.DataFrame(rows_of(chunk, quiet))
+    return pd.DataFrame(chunk_rows(chunk, quiet))
 
 
 def test_every_policy_drives_every_start_in_every_cell(rows):
@@ -44,7 +44,7 @@ def test_feasibility_is_the_same_for_all_policies(rows):
     assert set(ahead["infeasible"]) <= {"order", "overlap"}
 
 
-def test_who_does_not_look_runs_into_a_leader_that_brakes(rows):
+def test_a_policy_at_constant_velocity_runs_into_a_braking_leader(rows):
     blind = rows[(rows["perturbation"] == "leader_braking") & (rows["policy"] == "constant_velocity")]
     assert blind["contact"].all()
     assert set(blind["hit"]) == {"1→2"}
@@ -55,7 +55,7 @@ def test_who_does_not_look_runs_into_a_leader_that_brakes(rows):
 
 def test_a_branch_does_not_disturb_another(chunk, rows):
     """A cell and a policy alone give the rows they give among all the others."""
-    alone = pd.DataFrame(rows_of(replace(chunk, cells=chunk.cells[-1:], policies={"idm": Idm()}), quiet))
+    alone = pd.DataFrame(chunk_rows(replace(chunk, cells=chunk.cells[-1:], policies={"idm": Idm()}), quiet))
     among = rows[(rows["perturbation"] == "neighbour_cut_in") & (rows["policy"] == "idm")].reset_index(drop=True)
     pd.testing.assert_frame_equal(alone, among[alone.columns], check_exact=True, check_dtype=False)
 
@@ -64,13 +64,13 @@ def test_undisturbed_episodes_alone_are_written_as_those_among_others(chunk, tmp
     """Their intensity is missing, which must not make it a column of another type."""
     alone = replace(chunk, cells=chunk.cells[:1], policies={"idm": Idm()})
     row = {"policy": "idm", "perturbation": NOMINAL, "intensity": None}
-    monkeypatch.setattr(chunk_module, "rows_of", lambda *_: [row])
+    monkeypatch.setattr(chunk_module, "chunk_rows", lambda *_: [row])
     stress_chunk(alone, {alone.key: tmp_path / "part.parquet"}, {}, quiet)
     assert pd.read_parquet(tmp_path / "part.parquet")["intensity"].dtype == float
 
 
 def test_perturbed_traffic(short_scenario):
     _, chunk = chunks(replace(short_scenario, horizon=2.0), {"idm": Idm()}, {"low_friction": (0.3,)}, starts=2)
-    rows = pd.DataFrame(rows_of(chunk, quiet))
+    rows = pd.DataFrame(chunk_rows(chunk, quiet))
     assert set(rows["perturbation"]) == {"low_friction"}
     assert (rows["min_acceleration"] >= -0.3 * 9.81 - 1e-6).all()

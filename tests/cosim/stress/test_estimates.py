@@ -6,7 +6,7 @@ import pytest
 
 from cosim.stress.estimates import MEASURES, counted, counts, differences, estimates
 from cosim.stress.figures import draw
-from cosim.stress.markdown import markdown
+from cosim.stress.report import stress_report
 
 
 def row(start: int, policy="a", kind="nominal", intensity=None, **changes):
@@ -22,7 +22,7 @@ def row(start: int, policy="a", kind="nominal", intensity=None, **changes):
 
 @pytest.fixture
 def rows() -> pd.DataFrame:
-    """Ten nominal starts of two policies; at 0.5 two starts are infeasible, b loses one and crashes in four."""
+    """Ten nominal starts of two policies; at 0.5 two are infeasible, b is interrupted in one and collides in four."""
     made = []
     for policy in "ab":
         made += [row(k, policy) for k in range(10)]
@@ -38,7 +38,7 @@ def rows() -> pd.DataFrame:
     return pd.DataFrame(made)
 
 
-def test_nothing_is_left_out_silently(rows):
+def test_counts_list_everything_that_is_left_out(rows):
     found = counts(rows).set_index(["perturbation", "policy"]).loc[("headway_ratio", "b")]
     assert found["starts"] == 10
     assert (found["infeasible"], found["why"]) == (2, "2 overlap")
@@ -67,25 +67,36 @@ def test_differences_are_on_the_same_starts(rows):
 
 
 def test_the_report_shows_every_cell(rows):
-    text = markdown("Title", counts(rows), estimates(rows), differences(rows), ["headway_ratio"])
+    text = stress_report("Title", counts(rows), estimates(rows), differences(rows), ["headway_ratio"])
     assert "| 0.5 | b | 7 | 2 (2 overlap) | 1 | 43 [16, 75]" in text
     assert "4 0→1 |" in text
     assert "p = 0.125" in text
     assert text.count("| nominal |") == 3  # two policies, one difference
+    assert "figures/" not in text
 
 
-@pytest.mark.parametrize("across", [False, True])
-def test_figures_are_drawn(rows, tmp_path, across):
-    files = draw(estimates(rows), ["headway_ratio"], tmp_path, across=across)
+def test_the_tables_of_the_report_render(rows):
+    """Rows of a table have as many cells as its head: pipes inside cells are escaped."""
+    shown = counts(rows), estimates(rows), differences(rows)
+    text = stress_report("Title", *shown, ["headway_ratio"], figures=["headway_ratio"])
+    cells = [line.replace("\\|", "").count("|") for line in text.splitlines() if line.startswith("|")]
+    assert cells == [22] * 6 + [11] * 4
+    assert "\\|jerk\\|, median [m/s³]" in text
+    assert "![Measures over the intensity of headway_ratio](figures/headway_ratio.png)" in text
+
+
+@pytest.mark.parametrize("lane_changes", [False, True])
+def test_figures_are_drawn(rows, tmp_path, lane_changes):
+    files = draw(estimates(rows), ["headway_ratio"], tmp_path, lane_changes=lane_changes)
     assert [path.name for path in files] == ["headway_ratio.png", "headway_ratio.svg"]
     assert all(path.stat().st_size > 5000 for path in files)
     text = (tmp_path / "headway_ratio.svg").read_text()
-    assert ("|jerk|" in text) is not across
+    assert ("|jerk|" in text) is not lane_changes
 
 
-def test_an_interrupted_group_counts_for_nobody(rows):
+def test_an_interrupted_start_does_not_count(rows):
     assert len(counted(rows)) == 10 + 10 + 8 + 7
 
 
 def test_a_perturbation_without_a_feasible_start_has_no_figure(rows, tmp_path):
-    assert draw(estimates(rows), ["latency"], tmp_path, across=False) == []
+    assert draw(estimates(rows), ["latency"], tmp_path, lane_changes=False) == []

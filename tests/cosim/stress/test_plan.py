@@ -6,7 +6,7 @@ from msgspec.structs import replace
 from cosim.spec.loading import load_scenario
 from cosim.spec.perturbations import KINDS, HeadwayRatio
 from cosim.spec.scenario import ConstantVelocity, Idm, LeftToSumo, Trained
-from cosim.stress.plan import Cell, chunks, perturbed, policies_of, sweeps_of
+from cosim.stress.plan import Cell, chunks, perturbed_scenario, policies_of, sweeps_of
 from gri.errors import InputError
 from gri.resources import checkpoint
 
@@ -58,15 +58,15 @@ def test_rows_are_kept_by_kind_and_policy(scenario):
     ):
         whole = chunk(policies, sweeps)
         assert before <= {part.key for part in whole.parts}
-        new = whole.around([part for part in whole.parts if part.key not in before])
+        new = whole.covering([part for part in whole.parts if part.key not in before])
         assert list(new.policies) == named
         assert [cell.perturbation for cell in new.cells] == kinds
         assert {part.key for part in new.parts} == {part.key for part in whole.parts} - before
 
 
 def test_a_cell_perturbs_a_scenario(scenario):
-    assert perturbed(scenario, Cell()).perturbations == ()
-    assert perturbed(scenario, Cell("headway_ratio", 0.5)).perturbations == (HeadwayRatio(intensity=0.5),)
+    assert perturbed_scenario(scenario, Cell()).perturbations == ()
+    assert perturbed_scenario(scenario, Cell("headway_ratio", 0.5)).perturbations == (HeadwayRatio(intensity=0.5),)
 
 
 def test_intensities_out_of_range_are_refused_before_anything_runs(scenario):
@@ -83,7 +83,7 @@ def test_default_intensities(scenario):
 
 
 @pytest.mark.parametrize(
-    ("kinds", "intensities", "message"), [(["fog"], [], "fog"), (["latency", "dropout"], [0.1], "one of them")]
+    ("kinds", "intensities", "message"), [(["fog"], [], "fog"), (["latency", "dropout"], [0.1], "give one kind")]
 )
 def test_bad_perturbations(scenario, kinds, intensities, message):
     with pytest.raises(InputError, match=message):
