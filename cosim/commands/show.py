@@ -39,9 +39,9 @@ def report(
 
 def _batch_report(folder: Path, path: Path) -> None:
     from cosim.batch.store import Store, write_whole
-    from cosim.show.batch_report import report as page
+    from cosim.show.batch_report import batch_report
 
-    write_whole(path, page(Store(folder)))
+    write_whole(path, batch_report(Store(folder)))
     say(f"Report: {path}")
     next_command(f"cosim results {folder}")
 
@@ -59,10 +59,10 @@ def render(
     No display is needed.
     """
     from cosim.runs.run_tables import read_tables
-    from cosim.show.episode_view import view
+    from cosim.show.episode_view import episode_view
 
     tables = read_tables(run)
-    seen = view(tables, episode)
+    view = episode_view(tables, episode)
     kind = kind or _format_of(out)
     path = out or run / f"episode-{episode}.{kind}"
     if kind == "png":
@@ -73,11 +73,11 @@ def render(
         from cosim.batch.store import write_whole
         from cosim.show.animation import html
 
-        write_whole(path, html(seen, f"Episode {episode}: {seen.driver} drives"))
+        write_whole(path, html(view, f"Episode {episode}: {view.driver} drives"))
     else:
-        from cosim.show.film import film
+        from cosim.show.video import write_video
 
-        film(seen, path)
+        write_video(view, path)
     say(f"{path}")
     next_command(f"cosim explain {run} --episode {episode}")
 
@@ -99,10 +99,10 @@ def explain(run: RunArgument, episode: EpisodeOption = 0) -> None:
     The text is made from the graph that the policy inferred and from its reward.
     """
     from cosim.runs.run_tables import read_tables
-    from cosim.show.episode_view import view
+    from cosim.show.episode_view import episode_view
     from cosim.show.explanation import explanation
 
-    say(explanation(view(read_tables(run), episode), run))
+    say(explanation(episode_view(read_tables(run), episode), run))
     next_command(f"cosim render {run} --episode {episode}")
 
 
@@ -112,7 +112,7 @@ def gui(run: RunArgument, episode: EpisodeOption = 0) -> None:
     Needs the extra `sumo` of the installation.
     """
     from cosim.runs.run_tables import read_tables
-    from cosim.show.episode_view import view
+    from cosim.show.episode_view import episode_view
     from cosim.show.sumo_gui import replay
 
-    replay(view(read_tables(run), episode), run)
+    replay(episode_view(read_tables(run), episode), run)

@@ -1,4 +1,4 @@
-"""An episode as numbers that `animation.js` plays in a browser, and a page with one such animation."""
+"""An animation of an episode for the browser: its data, which `animation.js` plays, and an HTML page around it."""
 
 import json
 from collections.abc import Sequence
@@ -6,15 +6,15 @@ from typing import Any
 
 import numpy as np
 
-from cosim.show.episode_view import View
+from cosim.show.episode_view import EpisodeView
 from cosim.show.templates import page
 
 
-def data_of(view: View) -> dict[str, Any]:
-    """JSON content of an episode: road coordinates in m, time in s since the take-over; null where nothing is known."""
+def data_of(view: EpisodeView) -> dict[str, Any]:
+    """The data of an episode for JSON: road coordinates [m], time since the take-over [s]; null for missing values."""
     s, d = view.feature("s"), view.feature("d")
     return {
-        "time": _rounded(view.time - view.taken),
+        "time": _rounded(view.time - view.takeover_time),
         "drive_duration": round(float(view.group["drive_duration"]), 2),
         "ending": str(view.group["ending"]).replace("_", " "),
         "vehicles": [
@@ -35,30 +35,30 @@ def data_of(view: View) -> dict[str, Any]:
         ],
         "edges": [
             {
-                "time": round(belief.time - view.taken, 2),
-                "from": belief.sender,
-                "to": belief.receiver,
-                "type": belief.type,
-                "p": round(belief.probability, 3),
+                "time": round(edge.time - view.takeover_time, 2),
+                "from": edge.sender,
+                "to": edge.receiver,
+                "type": edge.type,
+                "p": round(edge.probability, 3),
             }
-            for belief in view.beliefs
-            if belief.type != "none"
+            for edge in view.inferred_edges
+            if edge.type != "none"
         ],
     }
 
 
-def script_of(view: View) -> str:
-    """The same as text that may stand inside a script element."""
+def script_of(view: EpisodeView) -> str:
+    """The data as JSON text that is safe inside a script element."""
     return json.dumps(data_of(view), separators=(",", ":")).replace("</", "<\\/")
 
 
-def html(view: View, title: str) -> str:
-    """A page of its own with the animation of one episode; it needs no other file and no network."""
+def html(view: EpisodeView, title: str) -> str:
+    """An HTML page with the animation of one episode. It needs no other file and no network."""
     return page("episode.html.j2", title=title, animation=script_of(view), view=view)
 
 
 def _angle(s: np.ndarray, d: np.ndarray) -> np.ndarray:
-    """Heading relative to the road [rad] from the path; 0 while standing."""
+    """Heading relative to the road [rad], from the path; 0 at standstill."""
     ds, dd = np.gradient(s), np.gradient(d)
     return np.where(np.hypot(ds, dd) > 0.05, np.arctan2(dd, np.maximum(ds, 1e-9)), 0.0)
 

@@ -1,4 +1,4 @@
-"""The report of a batch: one HTML file that works without a network."""
+"""The report of a batch: one HTML page that works without a network."""
 
 from pathlib import Path
 from typing import Any
@@ -15,18 +15,18 @@ from cosim.measures.statistics import Estimate, PairedTest
 from cosim.runs.run_tables import read_tables
 from cosim.show import graph_drawing, svg_charts
 from cosim.show.animation import script_of
-from cosim.show.episode_view import view
+from cosim.show.episode_view import episode_view
 from cosim.show.templates import page
-from cosim.show.worst_episodes import worst
+from cosim.show.worst_episodes import worst_episodes
 
-ANIMATIONS = 6
+SHOWN_EPISODES = 6
 CURVES = ("success", "contact", "short_ttc", "min_gap")
 SPREADS = ("min_gap", "mean_speed", "min_acceleration")
-PARTS = ("scenario", "variant", "policy", "perturbation", "intensity")
+AXES = ("scenario", "variant", "policy", "perturbation", "intensity")
 
 
-def report(store: Store) -> str:
-    """The page; everything on it comes from the tables and the manifest."""
+def batch_report(store: Store) -> str:
+    """The HTML page of a batch, made from its tables and its manifest. Raises `InputError` if no run has finished."""
     manifest, groups = store.manifest(), groups_of(store)
     policies = list(dict.fromkeys(groups["policy"]))
     reference = policies[0]
@@ -35,20 +35,18 @@ def report(store: Store) -> str:
         title=manifest["batch"].get("description") or Path(manifest["file"]).stem,
         folder=str(store.folder),
         manifest=manifest,
-        spec=yaml.safe_dump(
-            _given(manifest["batch"]), sort_keys=False, allow_unicode=True, default_flow_style=None, width=100
-        ),
+        spec=_yaml(_without_defaults(manifest["batch"])),
         policies=policies,
         reference=reference,
-        measures=[svg_charts.titled(measure) for measure in MEASURES],
-        rows=_rows(groups),
+        measures=[svg_charts.title_with_unit(measure) for measure in MEASURES],
+        headline=_headline(groups),
         differences=_differences(groups, reference),
         curves=[
             (name, svg_charts.curves(groups, name, _unit(name, manifest), CURVES)) for name in _perturbations(groups)
         ],
         spreads=svg_charts.distributions(groups, SPREADS),
-        beliefs=_beliefs(groups),
-        films=_films(store, groups),
+        graphs=_graphs(groups),
+        episodes=_episodes(store, groups),
         failures=_failures(store, manifest),
     )
 
@@ -57,10 +55,10 @@ def _yaml(content: dict[str, Any]) -> str:
     return yaml.safe_dump(content, sort_keys=False, allow_unicode=True, default_flow_style=None, width=100)
 
 
-def _given(batch: dict[str, Any]) -> dict[str, Any]:
-    """The batch without what was left out of its file."""
-    kept = {name: _given(value) if isinstance(value, dict) else value for name, value in batch.items()}
-    return {name: value for name, value in kept.items() if value not in (None, "", [], {}, ())}
+def _without_defaults(batch: dict[str, Any]) -> dict[str, Any]:
+    """The batch without empty fields."""
+    content = {name: _without_defaults(value) if isinstance(value, dict) else value for name, value in batch.items()}
+    return {name: value for name, value in content.items() if value not in (None, "", [], {}, ())}
 
 
 def _perturbations(groups: pd.DataFrame) -> list[str]:
@@ -68,7 +66,7 @@ def _perturbations(groups: pd.DataFrame) -> list[str]:
 
 
 def _unit(name: str, manifest: dict[str, Any]) -> str:
-    """Unit of a perturbation's intensity, where its kind is one that a scenario knows."""
+    """Unit of the intensity of a perturbation; "" if it has none."""
     from cosim.spec import perturbations
 
     kind = manifest["batch"]["perturbations"][name]["kind"]
@@ -80,27 +78,27 @@ def _labels(row: pd.Series, names: list[str]) -> list[str]:
     return ["" if pd.isna(row[name]) else f"{row[name]:g}" if name == "intensity" else str(row[name]) for name in names]
 
 
-def _rows(groups: pd.DataFrame) -> dict[str, Any]:
-    """The headline table."""
-    order = [name for name in PARTS if name != "policy" and groups[name].nunique(dropna=False) > 1] + ["policy"]
-    place = {name: {str(value): k for k, value in enumerate(dict.fromkeys(groups[name]))} for name in order}
+def _headline(groups: pd.DataFrame) -> dict[str, Any]:
+    """The headline table: one row per part of the matrix."""
+    order = [name for name in AXES if name != "policy" and groups[name].nunique(dropna=False) > 1] + ["policy"]
+    position = {name: {str(value): k for k, value in enumerate(dict.fromkeys(groups[name]))} for name in order}
     table = [row for _, row in group_statistics.headline(groups, order).iterrows()]
-    table.sort(key=lambda row: [place[name][str(row[name])] for name in order])
+    table.sort(key=lambda row: [position[name][str(row[name])] for name in order])
     return {
         "names": order,
         "rows": [
             {
                 "labels": _labels(row, order),
                 "counts": [row["groups"], row["interrupted"]],
-                "figures": [_figure(row[measure.name], measure.unit) for measure in MEASURES],
+                "figures": [_value_and_interval(row[measure.name], measure.unit) for measure in MEASURES],
             }
             for row in table
         ],
     }
 
 
-def _figure(estimate: Estimate, unit: str) -> tuple[str, str]:
-    """A value and its interval as text; shares in percent."""
+def _value_and_interval(estimate: Estimate, unit: str) -> tuple[str, str]:
+    """A value and its 95 % interval as text; shares in percent."""
     if not estimate.n:
         return "–", ""
     factor, digits = (100, 1) if unit == "share" else (1, 2)
@@ -109,7 +107,7 @@ def _figure(estimate: Estimate, unit: str) -> tuple[str, str]:
 
 
 def _differences(groups: pd.DataFrame, reference: str) -> list[dict[str, Any]]:
-    """The other policies minus the reference on the same starts, per perturbation."""
+    """Each other policy minus the reference policy on the same starts, per perturbation."""
     found = []
     for perturbation in dict.fromkeys(groups["perturbation"]):
         part = groups[groups["perturbation"] == perturbation]
@@ -119,17 +117,19 @@ def _differences(groups: pd.DataFrame, reference: str) -> list[dict[str, Any]]:
             starts = len(group_statistics.paired(part, policy, reference)[0])
             if starts:
                 tests = group_statistics.compare(part, policy, reference)
-                cells = [(*_figure(tests[m.name].difference, m.unit), _stars(tests[m.name])) for m in MEASURES]
+                cells = [
+                    (*_value_and_interval(tests[m.name].difference, m.unit), _p_value(tests[m.name])) for m in MEASURES
+                ]
                 found.append({"labels": [perturbation, f"{policy} − {reference}"], "starts": starts, "figures": cells})
     return found
 
 
-def _stars(test: PairedTest) -> str:
+def _p_value(test: PairedTest) -> str:
     return "" if np.isnan(test.p) else f"p {p_value(test)}" if test.p < 0.001 else f"p = {p_value(test)}"
 
 
-def _beliefs(groups: pd.DataFrame) -> list[dict[str, Any]]:
-    """Inferred graphs per policy, scenario and perturbation kind, for drivers that have one."""
+def _graphs(groups: pd.DataFrame) -> list[dict[str, Any]]:
+    """Inferred graphs per scenario and policy, for policies that infer one."""
     found = []
     for (scenario, policy), part in groups.groupby(["scenario", "policy"], sort=False):
         pairs = graph_drawing.pairs_of(part)
@@ -147,12 +147,12 @@ def _beliefs(groups: pd.DataFrame) -> list[dict[str, Any]]:
     return found
 
 
-def _films(store: Store, groups: pd.DataFrame) -> list[dict[str, Any]]:
+def _episodes(store: Store, groups: pd.DataFrame) -> list[dict[str, Any]]:
     found = []
-    for _, row in worst(groups, ANIMATIONS).iterrows():
+    for _, row in worst_episodes(groups, SHOWN_EPISODES).iterrows():
         folder = store.run_folder(str(row["run"]))
-        seen = view(read_tables(folder), int(row["episode"]), str(row["driver"]))
-        found.append({"row": row, "folder": folder, "view": seen, "data": script_of(seen)})
+        view = episode_view(read_tables(folder), int(row["episode"]), str(row["driver"]))
+        found.append({"row": row, "folder": folder, "view": view, "data": script_of(view)})
     return found
 
 

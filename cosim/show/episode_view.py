@@ -1,4 +1,4 @@
-"""One episode out of the tables of a run: the view that pictures, films, animations and words share."""
+"""One episode from the tables of a run, as arrays: the common input of videos, animations and explanations."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -15,8 +15,8 @@ ROLES = 3
 
 
 @dataclass(frozen=True)
-class Belief:
-    """What the policy took a pair for from an instant on: `receiver` does `type` towards `sender`."""
+class InferredEdge:
+    """An edge that the policy inferred: from `time` [s] on, `receiver` reacts to `sender` by `type` (or "none")."""
 
     time: float
     sender: int
@@ -26,8 +26,11 @@ class Belief:
 
 
 @dataclass(frozen=True)
-class View:
-    """An episode as arrays: per instant and role the features of COLUMNS, and gap and TTC where there is one ahead."""
+class EpisodeView:
+    """One episode as arrays over T instants and 3 roles; SI units.
+
+    `state` has the features of `cosim.world.episode.COLUMNS`; `gap` [m] and `ttc` [s] are to the vehicle ahead.
+    """
 
     number: int
     driver: str
@@ -39,7 +42,7 @@ class View:
     during_drive: Bool[np.ndarray, " T"]
     gap: Float[np.ndarray, "T 3"]
     ttc: Float[np.ndarray, "T 3"]
-    beliefs: tuple[Belief, ...]
+    inferred_edges: tuple[InferredEdge, ...]
 
     def feature(self, name: str) -> Float[np.ndarray, "T 3"]:
         return self.state[..., COLUMNS.index(name)]
@@ -57,26 +60,26 @@ class View:
         return np.array([self.group[f"width_{role}"] for role in range(ROLES)])
 
     @property
-    def taken(self) -> float:
-        """When the group was taken [s]."""
+    def takeover_time(self) -> float:
+        """Simulation time of the take-over [s]."""
         return float(self.group["takeover_time"])
 
 
-def view(tables: Mapping[str, pd.DataFrame], number: int, driver: str | None = None) -> View:
-    """One episode of a run; without a driver, as the run's policy drove it."""
+def episode_view(tables: Mapping[str, pd.DataFrame], number: int, driver: str | None = None) -> EpisodeView:
+    """Episode `number` of a run, by default as driven by its policy. Raises `InputError` for an unknown number."""
     groups = tables["groups"]
     driver = driver or str(groups["driver"].iloc[0])
     found = groups[(groups["episode"] == number) & (groups["driver"] == driver)]
     if not len(found):
         known = groups.loc[groups["driver"] == driver, "episode"]
         raise InputError(f"--episode: got {number}, this run has the episodes {known.min()} to {known.max()}")
-    rows = _of(tables["steps"], number, driver).sort_values(["time", "role"])
+    rows = _rows_of(tables["steps"], number, driver).sort_values(["time", "role"])
     shape = (len(rows) // ROLES, ROLES)
 
     def wide(column: str) -> np.ndarray:
         return rows[column].to_numpy().reshape(shape)
 
-    return View(
+    return EpisodeView(
         number=number,
         driver=driver,
         group={str(key): value for key, value in found.iloc[0].to_dict().items()},
@@ -87,15 +90,15 @@ def view(tables: Mapping[str, pd.DataFrame], number: int, driver: str | None = N
         during_drive=wide("during_drive")[:, 0],
         gap=wide("gap"),
         ttc=wide("ttc"),
-        beliefs=_beliefs(tables, number, driver),
+        inferred_edges=_inferred_edges(tables, number, driver),
     )
 
 
-def _of(table: pd.DataFrame, number: int, driver: str) -> pd.DataFrame:
+def _rows_of(table: pd.DataFrame, number: int, driver: str) -> pd.DataFrame:
     return table[(table["episode"] == number) & (table["driver"] == driver)]
 
 
-def _beliefs(tables: Mapping[str, pd.DataFrame], number: int, driver: str) -> tuple[Belief, ...]:
+def _inferred_edges(tables: Mapping[str, pd.DataFrame], number: int, driver: str) -> tuple[InferredEdge, ...]:
     columns = ["time", "sender", "receiver", "type", "probability"]
-    rows = _of(tables["graphs"], number, driver)[columns].to_numpy().tolist()
-    return tuple(Belief(float(time), int(i), int(j), str(kind), float(p)) for time, i, j, kind, p in rows)
+    rows = _rows_of(tables["graphs"], number, driver)[columns].to_numpy().tolist()
+    return tuple(InferredEdge(float(time), int(i), int(j), str(kind), float(p)) for time, i, j, kind, p in rows)

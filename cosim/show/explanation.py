@@ -1,8 +1,8 @@
-"""An episode in words, computed from the policy's own graph and the terms of its own reward; nothing is made up.
+"""An episode explained in text, from the graph that the policy inferred and the terms of its reward.
 
-The reward's weighted terms (gri.rewards.structured) are taken on the recorded drive, in the model's frame: what a
-vehicle paid to itself, and what each relation that the policy believed in cost it. The largest are what the drive was
-about.
+The weighted terms of the reward (gri.rewards.structured) are evaluated on the recorded drive, in the frame of the
+model: the node terms of each driven vehicle, and the edge terms of each inferred relation. The largest terms explain
+the drive.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from cosim.show.episode_view import Belief, View
+from cosim.show.episode_view import EpisodeView, InferredEdge
 from cosim.spec.input_files import checkpoint_path
 from cosim.spec.scenario import CarFollowing, Scenario, Trained
 from cosim.world.road_frame import model_offsets
@@ -31,7 +31,7 @@ MEANING = {
     ("node", "jerk"): "driving without jerk",
     ("node", "heading"): "staying parallel to the road",
     ("node", "yaw_rate"): "not turning",
-    ("node", "yaw_acceleration"): "not jerking the wheel",
+    ("node", "yaw_acceleration"): "a small yaw acceleration",
     ("node", "lane"): "being in the target lane",
     ("follow", "idm"): "keeping the headway of the intelligent driver model",
     ("follow", "dist"): "not coming too close",
@@ -45,7 +45,7 @@ MEANING = {
 
 @dataclass(frozen=True)
 class Term:
-    """One weighted term of the reward along a drive [T]; what it costs is never negative."""
+    """One weighted term of the reward along a drive: its cost (−reward, ≥ 0, without unit) at each of T steps."""
 
     group: str  # "node", or the type of the relation
     name: str
@@ -54,133 +54,133 @@ class Term:
 
     @property
     def meaning(self) -> str:
-        words = MEANING.get((self.group, self.name), f"the term {self.name}")
-        return words if self.sender is None else f"{words} towards {self.sender}"
+        meaning = MEANING.get((self.group, self.name), f"the term {self.name}")
+        return meaning if self.sender is None else f"{meaning} towards {self.sender}"
 
 
-def explanation(view: View, run: Path) -> str:
-    """What the policy believed and did in one episode of a run folder, as text."""
+def explanation(view: EpisodeView, run: Path) -> str:
+    """The inferred graph, the drive and the largest reward terms of one episode, as text. `run` is the run folder."""
     scenario = msgspec.json.decode((run / "scenario.json").read_bytes(), type=Scenario)
     reward = None
     if isinstance(scenario.policy, Trained):
         reward = checkpoint.load_reward(checkpoint_path(scenario.policy.checkpoint))
-    lines = [_headline(view), "", *_beliefs(view)]
+    lines = [_headline(view), "", *_graph(view)]
     for role in range(2):
         lines += ["", *_drive(view, role)]
-        if view.driven[:, role].any() and view.beliefs:
+        if view.driven[:, role].any() and view.inferred_edges:
             lines += _reasons(view, role, scenario, reward)
     return "\n".join(lines)
 
 
-def _headline(view: View) -> str:
+def _headline(view: EpisodeView) -> str:
     names = ", ".join(f"{vehicle} ({role})" for role, vehicle in enumerate(view.ids))
     ended = str(view.group["ending"]).replace("_", " ")
     return (
-        f"Episode {view.number}: {view.driver} and the vehicles {names}, taken at {view.taken:.1f} s, driven for"
-        f" {view.group['drive_duration']:.1f} s; ended by: {ended}."
+        f"Episode {view.number}: {view.driver} drives a group of the vehicles {names}. Take-over at"
+        f" {view.takeover_time:.1f} s; driven for {view.group['drive_duration']:.1f} s; ended by: {ended}."
     )
 
 
-def _beliefs(view: View) -> list[str]:
-    """Every relation the policy went by, and what it changed its mind about."""
-    if not view.beliefs:
-        return [f"{view.driver} has no notion of a graph."]
-    first = min(belief.time for belief in view.beliefs)
-    at_first = [belief for belief in view.beliefs if belief.time == first]
+def _graph(view: EpisodeView) -> list[str]:
+    """Every relation that the policy inferred at the take-over, and every later change."""
+    if not view.inferred_edges:
+        return [f"{view.driver} does not infer a graph."]
+    at_first = _at_takeover(view)
     lines = [
-        f"{view.ids[b.receiver]} ({b.receiver}) {VERBS.get(b.type, b.type)} {view.ids[b.sender]} ({b.sender})"
-        f" (p {b.probability:.2f})."
-        for b in at_first
-        if b.type != "none"
-    ] or ["Nobody reacts to anybody."]
-    unsure = min((b for b in at_first if b.type == "none"), key=lambda b: b.probability, default=None)
-    if unsure is not None:
+        f"{view.ids[e.receiver]} ({e.receiver}) {VERBS.get(e.type, e.type)} {view.ids[e.sender]} ({e.sender})"
+        f" (p {e.probability:.2f})."
+        for e in at_first
+        if e.type != "none"
+    ] or ["No vehicle reacts to another one."]
+    least_certain = min((e for e in at_first if e.type == "none"), key=lambda e: e.probability, default=None)
+    if least_certain is not None:
         lines.append(
-            f"No other relation; least sure of {unsure.sender} on {unsure.receiver} (p {unsure.probability:.2f})."
+            "No other relation is inferred. The least certain pair is"
+            f" {least_certain.sender} → {least_certain.receiver} (none with p {least_certain.probability:.2f})."
         )
-    return lines + _changes(view.beliefs, view.taken)
+    return lines + _changes(view.inferred_edges, view.takeover_time)
 
 
-def _changes(beliefs: Sequence[Belief], taken: float) -> list[str]:
+def _changes(edges: Sequence[InferredEdge], takeover_time: float) -> list[str]:
     latest: dict[tuple[int, int], str] = {}
     lines = []
-    for belief in sorted(beliefs, key=lambda belief: belief.time):
-        pair = (belief.sender, belief.receiver)
-        if latest.get(pair, belief.type) != belief.type:
+    for edge in sorted(edges, key=lambda edge: edge.time):
+        pair = (edge.sender, edge.receiver)
+        if latest.get(pair, edge.type) != edge.type:
             lines.append(
-                f"{belief.time - taken:.1f} s after the take-over it takes {belief.sender} on {belief.receiver} for"
-                f" {belief.type} (p {belief.probability:.2f}), no longer for {latest[pair]}."
+                f"{edge.time - takeover_time:.1f} s after the take-over, {edge.sender} → {edge.receiver} changes from"
+                f" {latest[pair]} to {edge.type} (p {edge.probability:.2f})."
             )
-        latest[pair] = belief.type
+        latest[pair] = edge.type
     return lines
 
 
-def _drive(view: View, role: int) -> list[str]:
-    """What a vehicle did from the take-over to the end of the drive."""
-    way = view.during_drive
-    v, a, gap = view.feature("v")[way, role], view.feature("a")[way, role], view.gap[way, role]
-    time = view.time[way] - view.taken
+def _drive(view: EpisodeView, role: int) -> list[str]:
+    """Speed, gap and braking of one vehicle from the take-over to the end of the drive."""
+    during = view.during_drive
+    v, a, gap = view.feature("v")[during, role], view.feature("a")[during, role], view.gap[during, role]
+    time = view.time[during] - view.takeover_time
     hardest = int(a.argmin())
-    who = "driven by the policy" if view.driven[:, role].any() else "driven by SUMO"
-    line = f"{view.ids[role]} ({role}), {who}: {v[0]:.1f} m/s at the take-over, {v[-1]:.1f} m/s at the end"
+    driver = "driven by the policy" if view.driven[:, role].any() else "driven by SUMO"
+    line = f"{view.ids[role]} ({role}), {driver}: {v[0]:.1f} m/s at the take-over, {v[-1]:.1f} m/s at the end"
     if np.isfinite(gap).all():
-        line += f"; net gap {gap[0]:.1f} m, then {gap[-1]:.1f} m,"
+        line += f"; net gap {gap[0]:.1f} m at the take-over, {gap[-1]:.1f} m at the end,"
         line += f" smallest {gap.min():.1f} m after {time[gap.argmin()]:.1f} s"
-    return [f"{line}; strongest deceleration {max(-a[hardest], 0.0):.1f} m/s² after {time[hardest]:.1f} s."]
+    return [f"{line}; hardest braking {max(-a[hardest], 0.0):.1f} m/s² after {time[hardest]:.1f} s."]
 
 
-def _reasons(view: View, role: int, scenario: Scenario, reward: StructuredReward | None) -> list[str]:
-    """The reward's largest terms for one vehicle, and when they counted most."""
+def _reasons(view: EpisodeView, role: int, scenario: Scenario, reward: StructuredReward | None) -> list[str]:
+    """The largest reward terms of one vehicle (at least 5 % of its cost), and when they were largest."""
     if reward is None:
-        return ["  Its checkpoint has no reward, so nothing says why."]
+        return ["  Its checkpoint has no reward, so there are no reward terms to explain the drive."]
     terms = sorted(terms_of(view, role, scenario, reward), key=lambda term: -term.cost.mean())
     total = sum(float(term.cost.mean()) for term in terms)
     if total < 1e-9:
-        return ["  Its reward asked for nothing that it did not have."]
-    time = view.time[_driven_steps(view)] - view.taken
+        return ["  All terms of its reward are zero during the drive."]
+    time = view.time[_driven_steps(view)] - view.takeover_time
     lines = []
     for term in terms:
         mean, peak = float(term.cost.mean()), int(term.cost.argmax())
         if mean >= 0.05 * total:
             lines.append(
-                f"  {100 * mean / total:.0f} % of what it paid: {term.meaning} ({term.group} term {term.name}, mean"
-                f" {mean:.3g}, at most {term.cost[peak]:.3g} after {time[peak]:.1f} s, {term.cost[-1]:.3g} at the end)."
+                f"  {100 * mean / total:.0f} % of its cost: {term.meaning} ({term.group} term {term.name}, mean"
+                f" {mean:.3g}, maximum {term.cost[peak]:.3g} after {time[peak]:.1f} s, {term.cost[-1]:.3g} at the end)."
             )
     return lines
 
 
-def terms_of(view: View, role: int, scenario: Scenario, reward: StructuredReward) -> list[Term]:
-    """The weighted terms of one vehicle under the graph the policy went by, at every driven step."""
-    state, action = _model(view, scenario)
+def terms_of(view: EpisodeView, role: int, scenario: Scenario, reward: StructuredReward) -> list[Term]:
+    """The weighted terms of one vehicle (role 0 or 1) at every driven step, under the graph at the take-over."""
+    state, action = model_states(view, scenario)
     own = state[role]
     columns = reward.node_features(own, action[role]) * reward.weights("node")
     terms = [Term("node", name, None, columns[:, k].numpy()) for k, name in enumerate(reward.names("node"))]
-    for belief in _in_force(view):
-        if belief.receiver == role and belief.type in {str(kind) for kind in reward.terms.edge}:
-            kind = EdgeType(belief.type)
-            columns = reward.edge_features(kind, state[belief.sender], own) * reward.weights(kind)
+    for edge in _at_takeover(view):
+        if edge.receiver == role and edge.type in {str(kind) for kind in reward.terms.edge}:
+            kind = EdgeType(edge.type)
+            columns = reward.edge_features(kind, state[edge.sender], own) * reward.weights(kind)
             terms += [
-                Term(belief.type, name, belief.sender, columns[:, k].numpy())
-                for k, name in enumerate(reward.names(belief.type))
+                Term(edge.type, name, edge.sender, columns[:, k].numpy())
+                for k, name in enumerate(reward.names(edge.type))
             ]
     return terms
 
 
-def _in_force(view: View) -> list[Belief]:
-    """The graph at the take-over."""
-    first = min(belief.time for belief in view.beliefs)
-    return [belief for belief in view.beliefs if belief.time == first]
+def _at_takeover(view: EpisodeView) -> list[InferredEdge]:
+    """The edges that the policy inferred at the take-over."""
+    first = min(edge.time for edge in view.inferred_edges)
+    return [edge for edge in view.inferred_edges if edge.time == first]
 
 
-def _driven_steps(view: View) -> np.ndarray:
-    """Rows of the drive that have a successor in it."""
+def _driven_steps(view: EpisodeView) -> np.ndarray:
+    """Rows of the drive except the last one."""
     return np.flatnonzero(view.during_drive)[:-1]
 
 
-def _model(view: View, scenario: Scenario) -> tuple[Float[Tensor, "3 T D"], Float[Tensor, "3 T A"]]:
-    """States and actions of the drive in the model's frame.
+def model_states(view: EpisodeView, scenario: Scenario) -> tuple[Float[Tensor, "3 T D"], Float[Tensor, "3 T A"]]:
+    """States and actions of the T driven steps in the frame of the model (D and A of its dynamics).
 
-    In a merge the heading is that of the path over the ground, and y counts from the leader's lane at the take-over.
+    In a merge, the heading is that of the path, and y is relative to the lane of the leader at the take-over.
     """
     rows = np.flatnonzero(view.during_drive)
     s, d, v, a = (view.feature(name)[rows] for name in ("s", "d", "v", "a"))

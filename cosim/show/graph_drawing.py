@@ -1,4 +1,4 @@
-"""The graphs that a policy inferred, as a matrix and as a drawing."""
+"""The inferred graphs of many groups, summarised per pair of roles and drawn as SVG."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -7,12 +7,12 @@ from html import escape
 import numpy as np
 import pandas as pd
 
-PLACES = ((60.0, 150.0), (60.0, 85.0), (60.0, 20.0))  # of the roles 0, 1, 2 in the drawing, the road going up
+POSITIONS = ((60.0, 150.0), (60.0, 85.0), (60.0, 20.0))  # of the roles 0, 1, 2 in the drawing; the road goes up
 
 
 @dataclass(frozen=True)
-class Pair:
-    """How one pair was seen over many groups: its most frequent type, how often, and its mean probability then."""
+class PairSummary:
+    """One pair over many groups: its most frequent type, the share of groups with it, and its mean probability."""
 
     sender: int
     receiver: int
@@ -21,12 +21,12 @@ class Pair:
     probability: float
 
 
-def pairs_of(groups: pd.DataFrame) -> dict[tuple[int, int], Pair]:
-    """Every pair of roles in groups whose driver has a graph; empty where none has."""
+def pairs_of(groups: pd.DataFrame) -> dict[tuple[int, int], PairSummary]:
+    """Summary of each pair of roles, over the groups whose driver infers a graph; empty without such groups."""
     return {(pair.sender, pair.receiver): pair for pair in _pairs(groups)}
 
 
-def _pairs(groups: pd.DataFrame) -> Iterator[Pair]:
+def _pairs(groups: pd.DataFrame) -> Iterator[PairSummary]:
     for sender in range(3):
         for receiver in range(3):
             column = f"edge_{sender}_{receiver}"
@@ -35,23 +35,23 @@ def _pairs(groups: pd.DataFrame) -> Iterator[Pair]:
             known = groups[groups[column].notna()]
             kind = str(known[column].mode().iloc[0])
             same = known[known[column] == kind]
-            yield Pair(sender, receiver, kind, len(same) / len(known), float(same[f"{column}_p"].mean()))
+            yield PairSummary(sender, receiver, kind, len(same) / len(known), float(same[f"{column}_p"].mean()))
 
 
-def drawing(pairs: dict[tuple[int, int], Pair]) -> str:
-    """The most frequent type of each pair: an arrow from sender to receiver, labelled with what the receiver does."""
+def drawing(pairs: dict[tuple[int, int], PairSummary]) -> str:
+    """SVG of the most frequent graph: an arrow from sender to receiver, labelled with the reaction of the receiver."""
     parts = ['<svg viewBox="0 0 190 175" width="220" role="img" aria-label="inferred graph">']
     for pair in pairs.values():
         if pair.type != "none":
             parts.append(_arrow(pair))
-    for role, (x, y) in enumerate(PLACES):
+    for role, (x, y) in enumerate(POSITIONS):
         parts.append(f'<circle cx="{x}" cy="{y}" r="13" fill="var(--v{role})"/>')
         parts.append(f'<text x="{x}" y="{y + 4}" text-anchor="middle" font-size="12" fill="#fff">{role}</text>')
     return "".join([*parts, "</svg>"])
 
 
-def _arrow(pair: Pair) -> str:
-    start, end = np.array(PLACES[pair.sender]), np.array(PLACES[pair.receiver])
+def _arrow(pair: PairSummary) -> str:
+    start, end = np.array(POSITIONS[pair.sender]), np.array(POSITIONS[pair.receiver])
     along = (end - start) / np.linalg.norm(end - start)
     side = np.array([along[1], -along[0]]) * (18 + 17 * (abs(pair.sender - pair.receiver) - 1))
     a, b, middle = start + 14 * along + side / 3, end - 16 * along + side / 3, (start + end) / 2 + side * 1.5

@@ -1,4 +1,4 @@
-"""Replaying an episode in sumo-gui: the three recorded vehicles on the run's net, by a TraCI-driven sumo-gui."""
+"""Replay of an episode in sumo-gui: the three recorded vehicles on the net of the run, moved through TraCI."""
 
 import os
 import shutil
@@ -9,7 +9,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from cosim.show.episode_view import View
+from cosim.show.episode_view import EpisodeView
 from cosim.spec.input_files import find_net
 from cosim.spec.scenario import Scenario
 from cosim.world.road_frame import sumo_angle_of
@@ -18,24 +18,27 @@ from gri.errors import InputError
 COLOURS = ((0, 114, 178), (213, 94, 0), (120, 120, 120))
 
 
-def replay(view: View, run: Path) -> None:
-    """Open sumo-gui on the net and move the recorded vehicles through it, at the speed it happened."""
+def replay(view: EpisodeView, run: Path) -> None:
+    """Open sumo-gui on the net and move the recorded vehicles in real time.
+
+    Raises `InputError` without sumo-gui or without a display.
+    """
     program = shutil.which("sumo-gui")
     if program is None:
         raise InputError(
-            "sumo-gui is not installed; install gri-cosim[sumo], or see the episode with"
+            "sumo-gui is not installed; install gri-cosim[sumo], or play the episode in a browser:"
             f" `cosim render {run} --episode {view.number}`"
         )
     if sys.platform.startswith("linux") and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         raise InputError(
-            "no display is set, so sumo-gui cannot open a window; see the episode with"
+            "no display is set, so sumo-gui cannot open a window; play the episode in a browser:"
             f" `cosim render {run} --episode {view.number}`"
         )
     _play(view, command(view, run, program))
 
 
-def command(view: View, run: Path, program: str) -> list[str]:
-    """sumo-gui's command line."""
+def command(view: EpisodeView, run: Path, program: str) -> list[str]:
+    """The command line of sumo-gui, as a list of arguments."""
     scenario = msgspec.json.decode((run / "scenario.json").read_bytes(), type=Scenario)
     options = {
         "net-file": str(find_net(scenario.net)),
@@ -46,7 +49,7 @@ def command(view: View, run: Path, program: str) -> list[str]:
     return [program, *(part for name, value in options.items() for part in (f"--{name}", value)), *flags]
 
 
-def _play(view: View, command: list[str]) -> None:
+def _play(view: EpisodeView, command: list[str]) -> None:
     import traci  # comes with eclipse-sumo, as sumo-gui does
 
     traci.start(command)
@@ -68,7 +71,9 @@ def _play(view: View, command: list[str]) -> None:
             if k == 0:
                 traci.gui.trackVehicle("View #0", view.ids[1])
                 traci.gui.setZoom("View #0", 1500)
-            time.sleep(max(began + view.time[k] - view.time[0] - time.monotonic(), 0.0))  # no delay option binds TraCI
+            time.sleep(
+                max(began + view.time[k] - view.time[0] - time.monotonic(), 0.0)
+            )  # sumo-gui's delay option has no effect under TraCI
             traci.simulationStep()
     finally:
         traci.close()

@@ -1,4 +1,4 @@
-"""Charts of a batch as SVG text that takes the page's ink: readable in light, in dark and printed."""
+"""Charts of a batch as SVG in the text colour of the page, readable on light and dark screens and on paper."""
 
 import io
 import re
@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from cosim.batch.group_statistics import BY_NAME, Measure, complete
 
-INK = "#010203"  # becomes the page's text colour
+INK = "#010203"  # placeholder, replaced by the text colour of the page
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b87a00", "#56b4e9", "#7f7f7f")
 MARKERS = "osD^vPX"
 STYLE: Any = {
@@ -23,32 +23,40 @@ STYLE: Any = {
 }  # fmt: skip
 
 
-def colours(policies: Sequence[str]) -> dict[str, tuple[str, str]]:
-    """A colour and a marker for each policy, the same in every chart."""
+def line_styles(policies: Sequence[str]) -> dict[str, tuple[str, str]]:
+    """A colour and a marker for each policy; the same in every chart."""
     return {name: (PALETTE[k % len(PALETTE)], MARKERS[k % len(MARKERS)]) for k, name in enumerate(policies)}
 
 
 def curves(groups: pd.DataFrame, perturbation: str, unit: str, measures: Sequence[str]) -> str:
-    """Each measure against the intensity of one perturbation, a line per policy with 95 % intervals."""
+    """SVG of each measure over the intensity of one perturbation, one line per policy with 95 % intervals.
+
+    `unit` is the unit of the intensity.
+    """
     part = complete(groups[groups["perturbation"] == perturbation])
-    looks = colours(list(dict.fromkeys(groups["policy"])))
+    styles = line_styles(list(dict.fromkeys(groups["policy"])))
     spread = float(np.ptp(part["intensity"])) if len(part) else 0.0
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(3.2 * len(measures), 2.7), layout="constrained")
         for axes, name in zip(np.atleast_1d(figure.subplots(1, len(measures))), measures, strict=True):
             for k, (policy, rows) in enumerate(part.groupby("policy", sort=False)):
-                _curve(axes, rows, BY_NAME[name], *looks[str(policy)], label=str(policy), shift=0.012 * spread * k)
-            axes.set(xlabel=f"intensity of {perturbation}{f' [{unit}]' if unit else ''}", ylabel=titled(BY_NAME[name]))
+                _draw_curve(
+                    axes, rows, BY_NAME[name], *styles[str(policy)], label=str(policy), shift=0.012 * spread * k
+                )
+            axes.set(
+                xlabel=f"intensity of {perturbation}{f' [{unit}]' if unit else ''}",
+                ylabel=title_with_unit(BY_NAME[name]),
+            )
             if BY_NAME[name].share:
                 axes.set_ylim(-4, 104)
         figure.axes[0].legend(fontsize=8)
         return svg(figure)
 
 
-def _curve(
+def _draw_curve(
     axes: Axes, rows: pd.DataFrame, measure: Measure, colour: str, marker: str, label: str, shift: float
 ) -> None:
-    """One line; `shift` keeps the marks of policies that agree from hiding each other."""
+    """Draw one line; `shift` moves it along x, so that markers of equal policies do not hide each other."""
     points = [(intensity, measure.estimate(part)) for intensity, part in rows.groupby("intensity")]
     points = [(float(str(intensity)), estimate) for intensity, estimate in points if estimate.n]
     if not points:
@@ -62,10 +70,10 @@ def _curve(
 
 
 def distributions(groups: pd.DataFrame, measures: Sequence[str]) -> str:
-    """The share of groups below each value, a line per policy; nominal runs where there are any."""
+    """SVG of cumulative distributions, one line per policy; over nominal runs if there are any."""
     nominal = groups[groups["perturbation"] == "nominal"]
     part = complete(nominal if len(nominal) else groups)
-    looks = colours(list(dict.fromkeys(groups["policy"])))
+    styles = line_styles(list(dict.fromkeys(groups["policy"])))
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(3.2 * len(measures), 2.7), layout="constrained")
         for axes, name in zip(np.atleast_1d(figure.subplots(1, len(measures))), measures, strict=True):
@@ -74,19 +82,19 @@ def distributions(groups: pd.DataFrame, measures: Sequence[str]) -> str:
                 values = np.sort(measure.values(rows))
                 if len(values):
                     share = 100 * np.arange(1, len(values) + 1) / len(values)
-                    axes.step(values, share, where="post", color=looks[str(policy)][0], lw=1.6, label=str(policy))
-            axes.set(xlabel=titled(measure), ylabel="groups at or below [%]", ylim=(0, 102))
+                    axes.step(values, share, where="post", color=styles[str(policy)][0], lw=1.6, label=str(policy))
+            axes.set(xlabel=title_with_unit(measure), ylabel="share of groups [%]", ylim=(0, 102))
         figure.axes[0].legend(fontsize=8)
         return svg(figure)
 
 
-def titled(measure: Measure) -> str:
-    """Title and unit of a measure."""
+def title_with_unit(measure: Measure) -> str:
+    """Title and unit of a measure, e.g. "minimum gap [m]"."""
     return f"{measure.title} [{'%' if measure.unit == 'share' else measure.unit}]"
 
 
 def svg(figure: Figure) -> str:
-    """The figure as an SVG element without a background, drawn in the page's ink."""
+    """The figure as an SVG element without background, in the text colour of the page."""
     stream = io.StringIO()
     figure.savefig(stream, format="svg", transparent=True, metadata={"Date": None})
     text = stream.getvalue().replace(INK, "currentColor")

@@ -1,4 +1,4 @@
-"""The HTML templates, and the style and script that every page carries inside itself."""
+"""The HTML templates; style and script are embedded in every page."""
 
 from pathlib import Path
 from typing import Any
@@ -9,7 +9,7 @@ FOLDER = Path(__file__).parent / "templates"
 
 
 def page(template: str, **content: Any) -> str:
-    """A page with nothing outside itself: style and script stand in it."""
+    """The HTML page of a template with this content. It loads nothing from outside."""
     environment = Environment(
         loader=FileSystemLoader(FOLDER),
         autoescape=True,

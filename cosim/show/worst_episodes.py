@@ -1,4 +1,4 @@
-"""Which episodes of a batch to look at first."""
+"""The worst episodes of a batch, which its report shows."""
 
 import numpy as np
 import pandas as pd
@@ -6,12 +6,12 @@ import pandas as pd
 from cosim.batch.group_statistics import driven
 
 
-def worst(groups: pd.DataFrame, count: int) -> pd.DataFrame:
-    """The groups that went worst: contacts first, then the shortest time to collision, then the smallest gap.
+def worst_episodes(groups: pd.DataFrame, count: int) -> pd.DataFrame:
+    """The `count` worst groups: contacts first, then the shortest time to collision, then the smallest gap.
 
-    At most two of one policy and perturbation, so that one disaster does not fill the page.
+    At most two have the same policy and perturbation, so that several are shown.
     """
-    rank = driven(groups).assign(_ttc=lambda g: np.minimum(g["min_ttc"], 60.0))
-    rank = rank.sort_values(["contact", "_ttc", "min_gap"], ascending=[False, True, True])
-    few = rank[rank.groupby(["policy", "perturbation"]).cumcount() < 2]
-    return few.head(count).drop(columns="_ttc")
+    ranked = driven(groups).assign(_ttc=lambda g: np.minimum(g["min_ttc"], 60.0))
+    ranked = ranked.sort_values(["contact", "_ttc", "min_gap"], ascending=[False, True, True])
+    shown = ranked[ranked.groupby(["policy", "perturbation"]).cumcount() < 2]
+    return shown.head(count).drop(columns="_ttc")

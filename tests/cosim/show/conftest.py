@@ -1,16 +1,16 @@
-"""One episode made by hand: 0 follows 1 follows 2, and everybody brakes a little."""
+"""One hand-made episode: 0 follows 1 follows 2, and all brake slightly."""
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from cosim.show.episode_view import View, view
+from cosim.show.episode_view import EpisodeView, episode_view
 from cosim.world.episode import COLUMNS
 
 
 @pytest.fixture
 def tables() -> dict[str, pd.DataFrame]:
-    """The tables of a run with this one episode, taken after 1 s and driven for 3 s."""
+    """The tables of a run with this one episode, taken over after 1 s and driven for 3 s."""
     time = np.round(np.arange(0, 5.01, 0.2), 10)
     a = np.stack([-0.5 - 0.2 * np.sin(time), -0.4 + 0 * time, -0.3 + 0 * time], 1)
     v = 10.0 + np.cumsum(a, axis=0) * 0.2
@@ -38,5 +38,5 @@ def tables() -> dict[str, pd.DataFrame]:
 
 
 @pytest.fixture
-def episode(tables) -> View:
-    return view(tables, 0)
+def episode(tables) -> EpisodeView:
+    return episode_view(tables, 0)

@@ -1,4 +1,4 @@
-"""Pages and films of one episode, and the parts of a batch's report."""
+"""Pages and videos of one episode, and the parts of a batch's report."""
 
 import json
 import re
@@ -11,10 +11,10 @@ from PIL import Image
 
 from cosim.show import graph_drawing, svg_charts
 from cosim.show.animation import data_of, html, script_of
-from cosim.show.episode_view import view
-from cosim.show.film import film
+from cosim.show.episode_view import episode_view
 from cosim.show.sumo_gui import command, replay
-from cosim.show.worst_episodes import worst
+from cosim.show.video import write_video
+from cosim.show.worst_episodes import worst_episodes
 from cosim.spec.loading import load_scenario
 from gri.errors import InputError
 
@@ -43,11 +43,11 @@ def test_a_page_holds_everything_itself(episode):
 
 def test_an_unknown_episode(tables):
     with pytest.raises(InputError, match="--episode: got 7, this run has the episodes 0 to 0"):
-        view(tables, 7)
+        episode_view(tables, 7)
 
 
-def test_a_film_has_a_picture_per_step(episode, tmp_path):
-    film(episode, tmp_path / "episode.gif")
+def test_a_video_has_a_frame_per_step(episode, tmp_path):
+    write_video(episode, tmp_path / "episode.gif")
     with Image.open(tmp_path / "episode.gif") as image:
         assert getattr(image, "n_frames", 1) == len(episode.time)
 
@@ -86,7 +86,7 @@ def groups() -> pd.DataFrame:
     return pd.DataFrame(rows)
 
 
-def test_charts_take_the_ink_of_the_page_and_name_their_axes(groups):
+def test_charts_take_the_text_colour_of_the_page_and_name_their_axes(groups):
     for text in (
         svg_charts.curves(groups, "braking", "m/s²", ("success", "min_gap")),
         svg_charts.distributions(groups, ["min_gap"]),
@@ -107,7 +107,7 @@ def test_graphs_are_counted(groups):
     assert "follow 100 %" in text
 
 
-def test_contacts_are_the_worst_and_nobody_fills_the_page(groups):
-    found = worst(groups, 3)
+def test_contacts_are_the_worst_and_no_policy_fills_the_page(groups):
+    found = worst_episodes(groups, 3)
     assert found["contact"].tolist() == [True, False, False]
     assert found.groupby("policy").size().max() == 2
