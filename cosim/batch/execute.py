@@ -1,4 +1,4 @@
-"""Doing what is left of a batch: which runs, how often, and what is written down about them."""
+"""Running what is left of a batch: which runs, how many attempts, and the records of them."""
 
 import os
 import platform
@@ -16,16 +16,16 @@ import msgspec
 
 from cosim.batch.run_matrix import PACKAGES, Run
 from cosim.batch.spec import Batch
-from cosim.batch.store import Store
+from cosim.batch.store import BatchStore
 from cosim.process.task import Answer, Answers, Task
 
 Executor = Callable[[deque[Task], float], Answers]  # (queue, time limit [s])
-FINAL = ("input",)  # kinds of failure that a second attempt cannot mend
+NOT_RETRIED = ("input",)  # kinds of failure that a second attempt cannot fix
 
 
 @dataclass(frozen=True)
 class Tally:
-    """Where a batch stands: runs in all, finished runs, and runs that failed for good."""
+    """The state of a batch: numbers of all runs, of finished runs, and of runs that failed finally."""
 
     total: int
     done: int
@@ -44,11 +44,12 @@ Tell = Callable[[Tally], None]
 
 
 def execute(
-    batch: Batch, runs: Sequence[Run], store: Store, executor: Executor, tell: Tell, *, file: Path, retry: bool
+    batch: Batch, runs: Sequence[Run], store: BatchStore, executor: Executor, tell: Tell, *, file: Path, retry: bool
 ) -> Tally:
     """Do every run that has neither finished nor failed yet; with `retry`, also those that failed.
 
-    However this ends, the manifest says how far it came, and every finished run is whole.
+    `tell` is called with the tally after every attempt. However this ends, the manifest has the state of every run, and
+    every finished run is complete.
     """
     by_id = {run.id: run for run in runs}
     with store.opened(by_id):
@@ -60,49 +61,56 @@ def execute(
         reasons: dict[str, list[dict[str, Any]]] = {}
         queue = deque(_task(run, store, 0) for run in runs if run.id not in done | failed)
         tell(tally)
-        _try(lambda: store.write_manifest(manifest(batch, runs, store, file)))  # results can be looked at from now on
+        _write_record(
+            lambda: store.write_manifest(manifest(batch, runs, store, file))
+        )  # so that results can be read from now on
         try:
-            with closing(executor(queue, batch.time_limit)) as answers:  # leaving it ends whatever is under way
+            with closing(executor(queue, batch.time_limit)) as answers:  # leaving it ends all running tasks
                 for answer in answers:
                     run = by_id[answer.name]
-                    answer = _kept(answer, store)
+                    answer = _published(answer, store)
                     attempts[run.id] += 1
                     if answer.kind == "done":
                         tally = replace(tally, done=tally.done + 1)
                     else:
                         reasons.setdefault(run.id, []).append({"kind": answer.kind, "message": answer.message})
-                        if answer.kind not in FINAL and attempts[run.id] <= batch.retries:
+                        if answer.kind not in NOT_RETRIED and attempts[run.id] <= batch.retries:
                             queue.append(_task(run, store, attempts[run.id]))
                         else:
-                            _try(lambda: store.fail(run.id, _failure(run, reasons[run.id])))  # noqa: B023
+                            _write_record(lambda: store.fail(run.id, _failure(run, reasons[run.id])))  # noqa: B023
                             tally = replace(tally, failed=tally.failed + 1)
-                    _try(lambda: store.log(_entry(answer, attempts[run.id])))  # noqa: B023
+                    _write_record(lambda: store.log(_log_entry(answer, attempts[run.id])))  # noqa: B023
                     tell(tally)
         finally:
             store.sweep()
-            _try(lambda: store.write_manifest(manifest(batch, runs, store, file)))
+            _write_record(lambda: store.write_manifest(manifest(batch, runs, store, file)))
         return tally
 
 
-def _task(run: Run, store: Store, attempt: int) -> Task:
+def _task(run: Run, store: BatchStore, attempt: int) -> Task:
     arguments = run.scenario, msgspec.to_builtins(run.cell), run.key
-    return Task(run.id, "cosim.batch.run_task:run_task", arguments, store.partial(run.id, attempt))
+    return Task(run.id, "cosim.batch.run_task:run_task", arguments, store.attempt_folder(run.id, attempt))
 
 
-def _kept(answer: Answer, store: Store) -> Answer:
-    """Publish what a good attempt wrote and remove what a bad one left; where that fails, the attempt was a bad one."""
+def _published(answer: Answer, store: BatchStore) -> Answer:
+    """Publish the results of a successful attempt, or remove those of a failed one.
+
+    If publishing fails, the returned answer is that of a failed attempt.
+    """
     if answer.kind == "done":
         try:
             store.finish(answer.name, answer.folder)
         except OSError as error:
-            answer = replace(answer, kind="error", message=f"cannot be kept: {error.strerror} ({error.filename})")
+            answer = replace(
+                answer, kind="error", message=f"its results cannot be stored: {error.strerror} ({error.filename})"
+            )
     if answer.kind != "done":
         shutil.rmtree(answer.folder, ignore_errors=True)
     return answer
 
 
-def _try(write: Callable[[], None]) -> None:
-    """Write a record. On a full disk the batch goes on; the run stays open and the next command does it again."""
+def _write_record(write: Callable[[], None]) -> None:
+    """Write a record. On a full disk the batch goes on; the run stays open, and the next command repeats it."""
     try:
         write()
     except OSError as error:
@@ -113,13 +121,13 @@ def _failure(run: Run, reasons: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return {"run": run.id, "labels": msgspec.to_builtins(run.cell), "attempts": list(reasons)}
 
 
-def _entry(answer: Answer, attempt: int) -> dict[str, Any]:
+def _log_entry(answer: Answer, attempt: int) -> dict[str, Any]:
     seconds, peak = round(answer.seconds, 3), round(answer.peak_mb, 1)
     return {"run": answer.name, "attempt": attempt, "ended": answer.kind, "seconds": seconds, "peak_mb": peak}
 
 
-def manifest(batch: Batch, runs: Sequence[Run], store: Store, file: Path) -> dict[str, Any]:
-    """What was run with what, and how each run ended; with it every run can be done again and compared."""
+def manifest(batch: Batch, runs: Sequence[Run], store: BatchStore, file: Path) -> dict[str, Any]:
+    """The manifest: batch file, versions, machine, and the state of each run with the hashes of its results."""
     finished, failures = store.finished(), store.failures()
     listed = []
     for run in runs:

@@ -1,4 +1,4 @@
-"""Results of a batch in the terminal: what `cosim results` prints."""
+"""Tables of the results of a batch for the terminal, as `cosim results` prints them."""
 
 import difflib
 from collections.abc import Sequence
@@ -11,33 +11,40 @@ from rich.table import Table
 
 from cosim.batch import group_statistics
 from cosim.batch.group_statistics import BY_NAME, CELL, MEASURES, Measure
-from cosim.batch.store import Store
+from cosim.batch.store import BatchStore
 from cosim.measures.statistics import Estimate, PairedTest
 from gri.errors import InputError
 
 
-def selected(store: Store, where: Sequence[str]) -> pd.DataFrame:
-    """The driven groups and their counterparts for which every condition `column=value` holds."""
+def select_groups(store: BatchStore, where: Sequence[str]) -> pd.DataFrame:
+    """The driven groups and their counterparts that satisfy all conditions `column=value`.
+
+    Raises `InputError` for a malformed condition, an unknown column, or if no group is left.
+    """
     groups = groups_of(store)
     for condition in where:
-        groups = _only(groups, condition)
+        groups = _filtered(groups, condition)
     if not len(groups):
-        raise InputError(f"--where {' '.join(where)}: no group is left; `cosim results {store.folder}` shows what is")
+        raise InputError(
+            f"--where {' '.join(where)}: no group satisfies this; `cosim results {store.folder}` lists all"
+        )
     return groups
 
 
-def groups_of(store: Store) -> pd.DataFrame:
-    """The groups table of a batch in the order of its file, with counterparts left to SUMO once per start."""
+def groups_of(store: BatchStore) -> pd.DataFrame:
+    """The groups table of a batch in the order of its file, with one counterpart left to SUMO per start."""
     order = [run["run"] for run in store.manifest()["runs"]]
     if not any((store.folder / "groups").glob("run=*")):
-        raise InputError(f"{store.folder}: no run has finished; `cosim results {store.folder} --failures` says why")
+        raise InputError(
+            f"{store.folder}: no run has finished; see the reasons with `cosim results {store.folder} --failures`"
+        )
     groups = pd.read_parquet(store.folder / "groups")
     groups["run"] = pd.Categorical(groups["run"].astype(str), order, ordered=True)
     groups = groups.sort_values(["run", "episode", "driver"], ignore_index=True)
     return group_statistics.with_counterparts(groups.astype({"run": str}))
 
 
-def _only(table: pd.DataFrame, condition: str) -> pd.DataFrame:
+def _filtered(table: pd.DataFrame, condition: str) -> pd.DataFrame:
     name, equals, value = condition.partition("=")
     if not equals:
         raise InputError(f"--where {condition}: expected column=value, e.g. policy=idm")
@@ -64,17 +71,15 @@ def _column(name: str, table: pd.DataFrame, option: str) -> str:
     raise InputError(f"{option}: no column {name!r}; {hint}")
 
 
-def overview(groups: pd.DataFrame, by: str) -> Table:
-    """The headline table, by the columns named."""
+def overview_table(groups: pd.DataFrame, by: str) -> Table:
+    """Counts and measures with intervals, one row per combination of the comma-separated columns `by`."""
     columns = [_column(name.strip(), groups, "--by") for name in by.split(",")]
     shown = [name for name in columns if len(columns) == 1 or groups[name].nunique(dropna=False) > 1] or columns[:1]
     table = Table(caption="95 % intervals: Wilson for shares, bootstrap otherwise", caption_justify="left")
     for name in (*shown, "groups", "interrupted"):
         table.add_column(name, justify="left" if name in shown else "right")
     for measure in MEASURES:
-        table.add_column(
-            escape(f"{measure.title} [{'%' if measure.unit == 'share' else measure.unit}]"), justify="right"
-        )
+        table.add_column(escape(_title(measure)), justify="right")
     for _, row in group_statistics.headline(groups, shown).iterrows():
         labels = ["" if pd.isna(row[name]) else f"{row[name]}" for name in shown]
         counts = [str(row["groups"]), str(row["interrupted"])]
@@ -82,12 +87,12 @@ def overview(groups: pd.DataFrame, by: str) -> Table:
     return table
 
 
-def _titled(measure: Measure) -> str:
+def _title(measure: Measure) -> str:
     return f"{measure.title} [{'%' if measure.unit == 'share' else measure.unit}]"
 
 
 def interval(measure: Measure, estimate: Estimate) -> str:
-    """A figure with its interval; shares in percent."""
+    """An estimate with its interval; shares in percent."""
     if not estimate.n:
         return "-"
     factor = 100 if measure.unit == "share" else 1
@@ -95,20 +100,20 @@ def interval(measure: Measure, estimate: Estimate) -> str:
     return f"{value:.1f} ({low:.1f} to {high:.1f})"
 
 
-def comparison(groups: pd.DataFrame, names: str) -> Table:
-    """Differences between two policies on the same starts."""
+def comparison_table(groups: pd.DataFrame, names: str) -> Table:
+    """Differences between two policies, given as "a,b", on the same starts."""
     known = list(dict.fromkeys(groups["policy"]))
     chosen = [name.strip() for name in names.split(",")]
     if len(chosen) != 2 or not set(chosen) <= set(known):
         raise InputError(f"--compare {names}: expected two of {', '.join(known)}, separated by a comma")
     a, b = chosen
-    starts = len(group_statistics.paired(groups, a, b)[0])
+    starts = len(group_statistics.paired_starts(groups, a, b)[0])
     table = Table(title=escape(f"{a} − {b} on the same {starts} starts"), title_justify="left")
-    for title in ("", "difference (95 %)", "p"):
+    for title in ("", "difference (95 % interval)", "p"):
         table.add_column(title, justify="left" if not title else "right")
-    for name, test in group_statistics.compare(groups, a, b).items():
+    for name, test in group_statistics.differences(groups, a, b).items():
         measure = BY_NAME[name]
-        table.add_row(escape(_titled(measure)), interval(measure, test.difference), p_value(test))
+        table.add_row(escape(_title(measure)), interval(measure, test.difference), p_value(test))
     return table
 
 
@@ -116,19 +121,19 @@ def p_value(test: PairedTest) -> str:
     return "-" if np.isnan(test.p) else "< 0.001" if test.p < 0.001 else f"{test.p:.3f}"
 
 
-def runs(store: Store, where: Sequence[str]) -> Table:
+def runs_table(store: BatchStore, where: Sequence[str]) -> Table:
     """Every run of the batch with its labels and state."""
     listed = pd.DataFrame(store.manifest()["runs"])
     for condition in where:
-        listed = _only(listed, condition)
+        listed = _filtered(listed, condition)
     table = Table("run", *CELL, "state")
     for _, row in listed.iterrows():
         table.add_row(*("" if pd.isna(row[name]) else str(row[name]) for name in ("run", *CELL, "state")))
     return table
 
 
-def failures(store: Store) -> Table:
-    """Why runs failed."""
+def failures_table(store: BatchStore) -> Table:
+    """The reasons of all failed attempts, one row per attempt."""
     wanted: dict[str, Any] = {run["run"]: run for run in store.manifest()["runs"]}
     table = Table("run", "labels", "attempt", "reason", show_lines=True)
     for run, failure in store.failures().items():

@@ -1,11 +1,11 @@
-"""From a batch file to the list of its runs: single, checked scenarios with a label and a content hash each."""
+"""The runs of a batch file: single, checked scenarios, each with its labels and a hash of its content."""
 
 import difflib
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from importlib.metadata import version
 from itertools import product
 from pathlib import Path
@@ -13,21 +13,21 @@ from typing import Any
 
 import msgspec
 
-from cosim.batch.spec import NOMINAL, PLAIN, Addition, Batch, Sweep
+from cosim.batch.spec import NOMINAL, PLAIN, Batch, ExtraRun, Sweep
 from cosim.spec.input_files import input_files, sha256
 from cosim.spec.loading import find, load_scenario, traffic_of
 from cosim.spec.scenario import Driver, Scenario, tag_of
 from gri.config import checked, located, parsed, typed
 from gri.errors import InputError
 
-FORMAT = 1  # of what runs write; a new number runs every batch again
+FORMAT = 1  # of the results of a run; with a new number every run is repeated
 PACKAGES = ("gri-cosim", "libsumo", "numpy", "torch")  # whose versions a run depends on
-TAGS = ("kind", "rule", "source")  # a mapping with one of these replaces another one as a whole
+TAGS = ("kind", "rule", "source")  # a mapping with one of these keys replaces another mapping as a whole
 
 
 @dataclass(frozen=True, order=True)
 class Cell:
-    """Where a run stands in the matrix; `intensity` is None for a nominal run."""
+    """The place of a run in the matrix; `intensity` is None for a nominal run."""
 
     scenario: str
     policy: str
@@ -43,7 +43,7 @@ class Cell:
 
 @dataclass(frozen=True)
 class Run:
-    """One run of a batch. `key` is the hash of all that its results depend on."""
+    """One run of a batch. `key` is the hash of everything on which its results depend."""
 
     cell: Cell
     scenario: Scenario
@@ -51,7 +51,7 @@ class Run:
 
     @property
     def id(self) -> str:
-        """A letter (so that no reader takes it for a number) and the key's first eleven digits: names its folder."""
+        """The name of its folder: a letter, so that it does not look like a number, and 11 digits of the key."""
         return f"r{self.key[:11]}"
 
 
@@ -63,28 +63,28 @@ def load_batch(name: str) -> tuple[Batch, Path]:
         for field, kind in (("policies", Driver), ("perturbations", Sweep), ("variants", dict)):
             entries = content.get(field)
             for key, entry in entries.items() if isinstance(entries, dict) else ():
-                checked(entry, kind, path, under=(field, str(key)))  # msgspec does not name the keys of mappings
+                checked(entry, kind, path, under=(field, str(key)))  # because msgspec does not name keys of mappings
     return typed(content, Batch, path), path
 
 
 def expand(batch: Batch, path: Path) -> tuple[Run, ...]:
-    """Every run of a batch, in the order of its file; an InputError names the field that does not fit."""
-    names = _Names.of(batch, path)
+    """All runs of a batch, in the order of its file. Raises `InputError` with the name of the field that is wrong."""
+    names = _KnownNames.of(batch, path)
     matrix = _Matrix(batch, path, names)
     exclusions = _exclusions(batch, path, names)
-    cells = {cell: None for cell in matrix.cells() if not any(matches(cell) for matches in exclusions)}
-    for k, addition in enumerate(batch.include):
-        cell = names.cell(addition, path, ("include", f"[{k}]"))
+    cells = {cell: None for cell in matrix.cells() if not any(_matches(cell, given) for given in exclusions)}
+    for k, extra in enumerate(batch.include):
+        cell = names.cell(extra, path, ("include", f"[{k}]"))
         if cell in cells:
-            raise located(path, ("include", f"[{k}]"), f"the matrix has this run already ({cell}); remove it")
+            raise located(path, ("include", f"[{k}]"), f"the matrix already has this run ({cell}); remove it")
         cells[cell] = None
     if not cells:
-        raise located(path, ("exclude",), "nothing is left to run; exclude less")
+        raise located(path, ("exclude",), "every run is excluded, so nothing is left to run; exclude less")
     return tuple(matrix.run(cell) for cell in cells)
 
 
 def key_of(scenario: Scenario, labels: Mapping[str, Any]) -> str:
-    """SHA-256 of all that a run's results depend on: scenario, the files it names, labels and versions."""
+    """SHA-256 of everything on which the results of a run depend: scenario, its input files, labels and versions."""
     facts = {
         "format": FORMAT,
         "scenario": msgspec.to_builtins(msgspec.structs.replace(scenario, description="")),
@@ -99,8 +99,8 @@ _sha256 = cache(sha256)
 
 
 @contextmanager
-def _at(path: Path, where: Sequence[str]) -> Iterator[None]:
-    """Let input errors name the field of the batch file that led to them."""
+def _naming_field(path: Path, where: Sequence[str]) -> Iterator[None]:
+    """Add the field of the batch file to input errors."""
     try:
         yield
     except InputError as error:
@@ -108,8 +108,8 @@ def _at(path: Path, where: Sequence[str]) -> Iterator[None]:
 
 
 @dataclass(frozen=True)
-class _Names:
-    """What can stand in each field of a cell; `default` is what an addition leaves out."""
+class _KnownNames:
+    """The names that are allowed in each field of a cell."""
 
     scenarios: dict[str, Scenario]
     policies: tuple[str, ...]
@@ -117,37 +117,37 @@ class _Names:
     variants: tuple[str, ...]
 
     @classmethod
-    def of(cls, batch: Batch, path: Path) -> "_Names":
+    def of(cls, batch: Batch, path: Path) -> "_KnownNames":
         scenarios = {}
         for k, name in enumerate(batch.scenarios):
             where = ("scenarios", f"[{k}]")
             label = Path(name).name.removesuffix(".yaml")
             if label in scenarios:
-                raise located(path, where, f"a second scenario called {label!r}; keep one or rename its file")
-            with _at(path, where):
+                raise located(path, where, f"two scenarios have the name {label!r}; remove one, or rename its file")
+            with _naming_field(path, where):
                 scenarios[label] = load_scenario(name, beside=path)
         nominal = (NOMINAL,) if batch.nominal else ()
         return cls(
             scenarios, tuple(batch.policies), (*nominal, *batch.perturbations), tuple(batch.variants) or (PLAIN,)
         )
 
-    def cell(self, addition: Addition, path: Path, where: Sequence[str]) -> Cell:
-        """The cell an addition means."""
-        self.check(addition, path, where)
-        if (addition.perturbation in (None, NOMINAL)) != (addition.intensity is None):
+    def cell(self, extra: ExtraRun, path: Path, where: Sequence[str]) -> Cell:
+        """The cell of an extra run."""
+        self.check(extra, path, where)
+        if (extra.perturbation in (None, NOMINAL)) != (extra.intensity is None):
             raise located(path, where, "a perturbation and its intensity belong together; give both or neither")
-        own = self.scenarios[addition.scenario]
+        own = self.scenarios[extra.scenario]
         return Cell(
-            addition.scenario,
-            addition.policy or tag_of(own.policy),
-            addition.perturbation or NOMINAL,
-            addition.intensity,
-            addition.variant or PLAIN,
-            own.seed if addition.seed is None else addition.seed,
+            extra.scenario,
+            extra.policy or tag_of(own.policy),
+            extra.perturbation or NOMINAL,
+            extra.intensity,
+            extra.variant or PLAIN,
+            own.seed if extra.seed is None else extra.seed,
         )
 
     def check(self, cell: Any, path: Path, where: Sequence[str]) -> None:
-        """Refuse names that the matrix does not know."""
+        """Raise `InputError` for a name that is not in the batch file."""
         own = tuple(tag_of(scenario.policy) for scenario in self.scenarios.values())
         for field, known in (
             ("scenario", tuple(self.scenarios)),
@@ -163,18 +163,18 @@ class _Names:
 
 
 class _Matrix:
-    """Builds cells, and the scenario of each; what several runs share is checked once."""
+    """The cells of the matrix, and the scenario of each; runs that differ only in their seed share one check."""
 
-    def __init__(self, batch: Batch, path: Path, names: _Names) -> None:
+    def __init__(self, batch: Batch, path: Path, names: _KnownNames) -> None:
         self._batch, self._path, self._names = batch, path, names
         self._built: dict[tuple[Any, ...], Scenario] = {}
 
     def cells(self) -> Iterator[Cell]:
-        grades = [(name, k) for name in self._names.perturbations for k in self._intensities(name)]
+        perturbed = [(name, k) for name in self._names.perturbations for k in self._intensities(name)]
         for scenario, own in self._names.scenarios.items():
             policies = self._names.policies or (tag_of(own.policy),)
             seeds = self._batch.seed_list() or (own.seed,)
-            for policy, (name, intensity), variant, seed in product(policies, grades, self._names.variants, seeds):
+            for policy, (name, intensity), variant, seed in product(policies, perturbed, self._names.variants, seeds):
                 yield Cell(scenario, policy, name, intensity, variant, seed)
 
     def _intensities(self, name: str) -> Iterable[float | None]:
@@ -185,7 +185,9 @@ class _Matrix:
         if shared not in self._built:
             self._built[shared] = self._scenario(cell)
         scenario = msgspec.structs.replace(self._built[shared], seed=cell.seed)
-        with _at(self._path, ("policies", cell.policy) if cell.policy in self._batch.policies else ("scenarios",)):
+        with _naming_field(
+            self._path, ("policies", cell.policy) if cell.policy in self._batch.policies else ("scenarios",)
+        ):
             return Run(cell, scenario, key_of(scenario, msgspec.to_builtins(cell)))
 
     def _scenario(self, cell: Cell) -> Scenario:
@@ -195,7 +197,7 @@ class _Matrix:
             (("overrides",), batch.overrides),
             (("variants", cell.variant), batch.variants.get(cell.variant, {})),
         ):
-            content = self._changed(content, changes, where)
+            content = self._overlaid(content, changes, where)
         if cell.policy in batch.policies:
             content["policy"] = msgspec.to_builtins(batch.policies[cell.policy])
         if cell.perturbation in batch.perturbations:
@@ -205,38 +207,38 @@ class _Matrix:
         where = ("perturbations", cell.perturbation) if cell.intensity is not None else ("policies", cell.policy)
         return checked(content, Scenario, self._path, under=where)
 
-    def _changed(self, content: dict[str, Any], changes: dict[str, Any], where: tuple[str, ...]) -> dict[str, Any]:
+    def _overlaid(self, content: dict[str, Any], changes: dict[str, Any], where: tuple[str, ...]) -> dict[str, Any]:
         if isinstance(changes.get("traffic"), str):
-            with _at(self._path, (*where, "traffic")):
+            with _naming_field(self._path, (*where, "traffic")):
                 changes = {**changes, "traffic": traffic_of(changes["traffic"], beside=self._path)}
-        content = _merged(content, changes)
+        content = _overlay(content, changes)
         checked(content, Scenario, self._path, under=where)
         return content
 
 
-def _merged(content: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """Content with changes laid over it: mappings field by field, everything else as a whole."""
+def _overlay(content: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
+    """`content` with `changes` in place: mappings are merged field by field, everything else is replaced."""
     result = dict(content)
     for name, value in changes.items():
         old = result.get(name)
         if isinstance(old, dict) and isinstance(value, dict) and not any(tag in value for tag in TAGS):
-            value = _merged(old, value)
+            value = _overlay(old, value)
         result[name] = value
     return result
 
 
-def _exclusions(batch: Batch, path: Path, names: _Names) -> list[Callable[[Cell], bool]]:
-    """A test per exclusion: whether it matches a cell."""
-    tests = []
+def _exclusions(batch: Batch, path: Path, names: _KnownNames) -> list[dict[str, Any]]:
+    """The given fields of each exclusion, checked."""
+    exclusions = []
     for k, exclusion in enumerate(batch.exclude):
         where = ("exclude", f"[{k}]")
         names.check(exclusion, path, where)
         given = {field: value for field, value in msgspec.structs.asdict(exclusion).items() if value is not None}
         if not given:
-            raise located(path, where, "names no field and would leave out everything; remove it")
-        tests.append(partial(_agrees, given))
-    return tests
+            raise located(path, where, "names no field, so it would exclude every run; remove it")
+        exclusions.append(given)
+    return exclusions
 
 
-def _agrees(given: Mapping[str, Any], cell: Cell) -> bool:
+def _matches(cell: Cell, given: Mapping[str, Any]) -> bool:
     return all(getattr(cell, field) == value for field, value in given.items())

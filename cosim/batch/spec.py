@@ -1,8 +1,8 @@
 """Batch: the frozen, typed specification of many runs as a matrix.
 
 A batch is a YAML file. Its runs are scenarios × policies × (nominal + perturbations × intensities) × variants × seeds,
-less what `exclude` matches, plus what `include` lists. `cosim.batch.run_matrix` turns it into single, checked
-scenarios.
+without those that `exclude` matches, plus those that `include` lists. `cosim.batch.run_matrix` turns it into single,
+checked scenarios.
 """
 
 from typing import Annotated, Any
@@ -14,12 +14,12 @@ from cosim.spec.demand import Count, Name, Positive, Spec
 from cosim.spec.scenario import Driver, Seed
 
 Intensities = Annotated[tuple[float, ...], Meta(min_length=1)]
-NOMINAL = "nominal"  # the perturbation of a run that has none
-PLAIN = "plain"  # the variant of a run that has none
+NOMINAL = "nominal"  # name of the perturbation of a run without one
+PLAIN = "plain"  # name of the variant of a run without one
 
 
 class Sweep(Spec, frozen=True, kw_only=True):
-    """One kind of perturbation at several intensities; `settings` are its other fields."""
+    """One kind of perturbation at several intensities; `settings` are the other fields of the perturbation."""
 
     kind: str
     intensities: Intensities
@@ -27,14 +27,18 @@ class Sweep(Spec, frozen=True, kw_only=True):
 
 
 class Seeds(Spec, frozen=True, kw_only=True):
-    """`count` seeds in a row, from `first` on."""
+    """`count` consecutive seeds, beginning with `first`."""
 
     first: Seed = 1
     count: Count
 
 
-class Addition(Spec, frozen=True, kw_only=True):
-    """One more run, by the names used in the matrix; what is left out is nominal, plain, the scenario's own seed."""
+class ExtraRun(Spec, frozen=True, kw_only=True):
+    """One more run, by the names in the matrix.
+
+    Without a policy or a seed it has those of its scenario; without a perturbation it is nominal, without a variant it
+    is plain.
+    """
 
     scenario: str
     policy: str | None = None
@@ -45,7 +49,7 @@ class Addition(Spec, frozen=True, kw_only=True):
 
 
 class Exclusion(Spec, frozen=True, kw_only=True):
-    """Leaves out every run of the matrix that agrees with all the fields given here."""
+    """Leaves out every run of the matrix that has all the values given here."""
 
     scenario: str | None = None
     policy: str | None = None
@@ -56,10 +60,10 @@ class Exclusion(Spec, frozen=True, kw_only=True):
 
 
 class Batch(Spec, frozen=True, kw_only=True):
-    """Many runs. `time_limit` is wall-clock time per run [s], `retries` how often a run that died is tried again.
+    """Many runs. `time_limit` is the wall-clock time per run [s]; a run that died is repeated up to `retries` times.
 
-    `policies` default to each scenario's own, `seeds` to its own seed. `overrides` change fields of every scenario,
-    each of the `variants` is one more set of changes and an axis of the matrix.
+    `policies` default to the policy of each scenario, `seeds` to its seed. `overrides` change fields of all scenarios.
+    Each of the `variants` is a further set of such changes, and one value on an axis of the matrix.
     """
 
     description: str = ""
@@ -70,7 +74,7 @@ class Batch(Spec, frozen=True, kw_only=True):
     seeds: Annotated[tuple[Seed, ...], Meta(min_length=1)] | Seeds | None = None
     overrides: dict[str, Any] = field(default_factory=dict)
     variants: dict[Name, dict[str, Any]] = field(default_factory=dict)
-    include: tuple[Addition, ...] = ()
+    include: tuple[ExtraRun, ...] = ()
     exclude: tuple[Exclusion, ...] = ()
     time_limit: Positive = 900.0
     retries: Annotated[int, Meta(ge=0)] = 1
@@ -78,18 +82,18 @@ class Batch(Spec, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         for name, taken in ((NOMINAL, self.perturbations), (PLAIN, self.variants)):
             if name in taken:
-                raise ValueError(f"the name {name!r} is given to runs without one, expected another name")
+                raise ValueError(f"the name {name!r} is reserved for runs without one, expected another name")
         if not self.nominal and not self.perturbations:
             raise ValueError("nominal is false and there are no perturbations, expected at least one of the two")
 
     def seed_list(self) -> tuple[int, ...] | None:
-        """The seeds of the matrix; None: each scenario's own."""
+        """The seeds of the matrix; None: the seed of each scenario."""
         if isinstance(self.seeds, Seeds):
             return tuple(range(self.seeds.first, self.seeds.first + self.seeds.count))
         return self.seeds
 
 
 def json_schema() -> dict[str, Any]:
-    """JSON Schema of a batch file, for editors and for people."""
+    """JSON Schema of a batch file, for editors."""
     schema = msgspec.json.schema(Batch)
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "cosim batch", **schema}

@@ -1,13 +1,13 @@
 """A batch on disk: one folder per finished run, tables that join them, failures, a log and a manifest.
 
-    runs/<id>/                 a run folder as `cosim run` writes it; it appears whole or not at all
-    groups/run=<id>/part.parquet   its tables once more (hard links), partitioned by run; so for every table
-    failures/<id>.json         runs that failed for good, with their reasons
-    log.jsonl                  one line per ended attempt: seconds, memory, outcome
-    manifest.json              file, versions, machine, every run with its key, labels, state and hashes
+    runs/<id>/                     a run folder as `cosim run` writes it; it appears whole or not at all
+    groups/run=<id>/part.parquet   its tables again (hard links), partitioned by run; the same for every table
+    failures/<id>.json             runs that failed finally, with their reasons
+    log.jsonl                      one line per attempt: seconds, memory, outcome
+    manifest.json                  file, versions, machine, and every run with its key, labels, state and hashes
 
-Runs that a changed file no longer has stay in `runs/`, so that changing back costs nothing; the tables hold the runs of
-the present file alone.
+Runs that a changed batch file no longer has stay in `runs/`, so that they need not be repeated when the file is changed
+back. The tables hold only the runs of the current file.
 """
 
 import json
@@ -24,7 +24,7 @@ from gri.errors import InputError
 PARTIAL = ".partial"
 
 
-class Store:
+class BatchStore:
     """The folder of one batch."""
 
     def __init__(self, folder: Path) -> None:
@@ -32,7 +32,10 @@ class Store:
 
     @contextmanager
     def opened(self, wanted: Iterable[str]) -> Iterator[None]:
-        """Hold the folder for this process; tables show the finished ones of the `wanted` runs, leftovers are gone."""
+        """Lock the folder for this process, remove unfinished attempts, and link the tables of the `wanted` runs.
+
+        Raises `InputError` if the folder cannot be written or another `cosim batch` uses it.
+        """
         try:
             (self.folder / "runs").mkdir(parents=True, exist_ok=True)
             (self.folder / "failures").mkdir(exist_ok=True)
@@ -40,30 +43,30 @@ class Store:
             raise InputError(f"cannot write to {self.folder}: {error.strerror}; give another --out") from None
         with _locked(self.folder / ".lock"):
             self.sweep()
-            self._show(set(wanted))
+            self._link_tables(set(wanted))
             yield
 
     def sweep(self) -> None:
-        """Remove what unfinished attempts left."""
+        """Remove the folders of unfinished attempts."""
         for path in (self.folder / "runs").glob(f"*{PARTIAL}"):
             shutil.rmtree(path, ignore_errors=True)
 
     def run_folder(self, run: str) -> Path:
         return self.folder / "runs" / run
 
-    def partial(self, run: str, attempt: int) -> Path:
-        """Where an attempt writes: a folder that is not there yet and that no other process ever uses."""
+    def attempt_folder(self, run: str, attempt: int) -> Path:
+        """The folder in which an attempt writes; it does not exist yet, and no other process uses it."""
         return self.folder / "runs" / f"{run}-{os.getpid()}-{attempt}{PARTIAL}"
 
     def finished(self) -> set[str]:
         return {path.name for path in (self.folder / "runs").glob("*") if not path.name.endswith(PARTIAL)}
 
     def failures(self) -> dict[str, dict[str, Any]]:
-        """What is known about each run that failed for good."""
+        """The record of each run that failed finally, by run id."""
         return {path.stem: json.loads(path.read_text()) for path in sorted((self.folder / "failures").glob("*.json"))}
 
     def finish(self, run: str, partial: Path) -> None:
-        """Publish what an attempt wrote; the last line makes the run a finished one, an OSError leaves it open."""
+        """Publish the results of an attempt. The last step marks the run as finished; an OSError leaves it open."""
         try:
             self._link(run, partial)
             (self.folder / "failures" / f"{run}.json").unlink(missing_ok=True)
@@ -88,14 +91,14 @@ class Store:
         write_whole(self.folder / "manifest.json", json.dumps(content, indent=2) + "\n")
 
     def manifest(self) -> dict[str, Any]:
-        """The manifest; an InputError where the folder is not a batch's."""
+        """The manifest. Raises `InputError` if the folder is not that of a batch."""
         path = self.folder / "manifest.json"
         if not path.is_file() or not (self.folder / "runs").is_dir():
             raise InputError(f"{self.folder}: not the folder of a batch; `cosim batch FILE` writes one")
         return json.loads(path.read_text())
 
-    def _show(self, wanted: set[str]) -> None:
-        """Let the tables hold the finished ones of these runs, and no others."""
+    def _link_tables(self, wanted: set[str]) -> None:
+        """Let the tables hold those of these runs that have finished, and no others."""
         present = wanted & self.finished()
         for table in TABLES:
             (self.folder / table).mkdir(exist_ok=True)
@@ -119,7 +122,7 @@ class Store:
 def _link_or_copy(source: Path, target: Path) -> None:
     try:
         os.link(source, target)
-    except OSError:  # a file system without hard links
+    except OSError:  # the file system has no hard links
         temporary = target.with_suffix(".copy")
         shutil.copyfile(source, temporary)
         os.replace(temporary, target)
@@ -141,7 +144,7 @@ def _locked(path: Path) -> Iterator[None]:
     """Hold a lock that ends with this process, however it ends."""
     try:
         import fcntl
-    except ImportError:  # Windows: nobody watches over two commands on one folder
+    except ImportError:  # Windows: two commands on one folder are not detected
         yield
         return
     with path.open("w") as file:

@@ -44,11 +44,11 @@ def batch(
         say(f"{len(runs)} runs, none started.")
         return next_command(f"cosim batch {file}")
     from cosim.batch.execute import execute
-    from cosim.batch.store import Store
+    from cosim.batch.store import BatchStore
     from cosim.process.worker_process import WorkerDeath, run_in_worker
 
     folder = out or Path("runs", "batch", path.stem)
-    ended = Store(folder).finished() | set(Store(folder).failures())
+    ended = BatchStore(folder).finished() | set(BatchStore(folder).failures())
     if waiting := [run for run in runs if run.id not in ended]:
         # Whatever kills the check would kill the runs as well, which is what their retries and records are for.
         with TemporaryDirectory() as scratch, suppress(WorkerDeath):
@@ -64,7 +64,7 @@ def batch(
             def tell(tally: "Tally") -> None:
                 progress("runs", tally.ended, tally.total, f"{tally.failed} failed" if tally.failed else "")
 
-            tally = execute(spec, runs, Store(folder), how, tell, file=path, retry=retry_failed)
+            tally = execute(spec, runs, BatchStore(folder), how, tell, file=path, retry=retry_failed)
     except KeyboardInterrupt:
         notice(f"stopped; finished runs are kept, `cosim batch {file}` continues")
         raise typer.Exit(130) from None
@@ -101,21 +101,21 @@ def results(
 ) -> None:
     """List, filter, compare or export the results of a batch."""
     from cosim.batch import result_listing
-    from cosim.batch.store import Store
+    from cosim.batch.store import BatchStore
 
-    store = Store(folder)
+    store = BatchStore(folder)
     if failures:
-        return console.print(result_listing.failures(store))
+        return console.print(result_listing.failures_table(store))
     if runs:
-        return console.print(result_listing.runs(store, where))
-    groups = result_listing.selected(store, where)
+        return console.print(result_listing.runs_table(store, where))
+    groups = result_listing.select_groups(store, where)
     if csv:
         groups.to_csv(csv, index=False)
         say(f"{len(groups)} groups: {csv}")
     elif compare:
-        console.print(result_listing.comparison(groups, compare))
+        console.print(result_listing.comparison_table(groups, compare))
     else:
-        console.print(result_listing.overview(groups, by))
+        console.print(result_listing.overview_table(groups, by))
     next_command(f"cosim report {folder}")
 
 

@@ -38,10 +38,10 @@ def report(
 
 
 def _batch_report(folder: Path, path: Path) -> None:
-    from cosim.batch.store import Store, write_whole
+    from cosim.batch.store import BatchStore, write_whole
     from cosim.show.batch_report import batch_report
 
-    write_whole(path, batch_report(Store(folder)))
+    write_whole(path, batch_report(BatchStore(folder)))
     say(f"Report: {path}")
     next_command(f"cosim results {folder}")
 

@@ -8,9 +8,9 @@ import pandas as pd
 import yaml
 
 from cosim.batch import group_statistics
-from cosim.batch.group_statistics import MEASURES, SUMO
+from cosim.batch.group_statistics import LEFT_TO_SUMO, MEASURES
 from cosim.batch.result_listing import groups_of, p_value
-from cosim.batch.store import Store
+from cosim.batch.store import BatchStore
 from cosim.measures.statistics import Estimate, PairedTest
 from cosim.runs.run_tables import read_tables
 from cosim.show import graph_drawing, svg_charts
@@ -25,7 +25,7 @@ SPREADS = ("min_gap", "mean_speed", "min_acceleration")
 AXES = ("scenario", "variant", "policy", "perturbation", "intensity")
 
 
-def batch_report(store: Store) -> str:
+def batch_report(store: BatchStore) -> str:
     """The HTML page of a batch, made from its tables and its manifest. Raises `InputError` if no run has finished."""
     manifest, groups = store.manifest(), groups_of(store)
     policies = list(dict.fromkeys(groups["policy"]))
@@ -112,11 +112,11 @@ def _differences(groups: pd.DataFrame, reference: str) -> list[dict[str, Any]]:
     for perturbation in dict.fromkeys(groups["perturbation"]):
         part = groups[groups["perturbation"] == perturbation]
         for policy in dict.fromkeys(part["policy"]):
-            if policy == reference or (policy == SUMO and perturbation != "nominal"):
+            if policy == reference or (policy == LEFT_TO_SUMO and perturbation != "nominal"):
                 continue
-            starts = len(group_statistics.paired(part, policy, reference)[0])
+            starts = len(group_statistics.paired_starts(part, policy, reference)[0])
             if starts:
-                tests = group_statistics.compare(part, policy, reference)
+                tests = group_statistics.differences(part, policy, reference)
                 cells = [
                     (*_value_and_interval(tests[m.name].difference, m.unit), _p_value(tests[m.name])) for m in MEASURES
                 ]
@@ -147,7 +147,7 @@ def _graphs(groups: pd.DataFrame) -> list[dict[str, Any]]:
     return found
 
 
-def _episodes(store: Store, groups: pd.DataFrame) -> list[dict[str, Any]]:
+def _episodes(store: BatchStore, groups: pd.DataFrame) -> list[dict[str, Any]]:
     found = []
     for _, row in worst_episodes(groups, SHOWN_EPISODES).iterrows():
         folder = store.run_folder(str(row["run"]))
@@ -156,6 +156,6 @@ def _episodes(store: Store, groups: pd.DataFrame) -> list[dict[str, Any]]:
     return found
 
 
-def _failures(store: Store, manifest: dict[str, Any]) -> list[dict[str, Any]]:
+def _failures(store: BatchStore, manifest: dict[str, Any]) -> list[dict[str, Any]]:
     wanted = {run["run"] for run in manifest["runs"]}
     return [failure for run, failure in store.failures().items() if run in wanted]

@@ -11,7 +11,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from cosim.batch.group_statistics import BY_NAME, Measure, complete
+from cosim.batch.group_statistics import BY_NAME, Measure, uninterrupted
 
 INK = "#010203"  # placeholder, replaced by the text colour of the page
 PALETTE = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#b87a00", "#56b4e9", "#7f7f7f")
@@ -33,7 +33,7 @@ def curves(groups: pd.DataFrame, perturbation: str, unit: str, measures: Sequenc
 
     `unit` is the unit of the intensity.
     """
-    part = complete(groups[groups["perturbation"] == perturbation])
+    part = uninterrupted(groups[groups["perturbation"] == perturbation])
     styles = line_styles(list(dict.fromkeys(groups["policy"])))
     spread = float(np.ptp(part["intensity"])) if len(part) else 0.0
     with matplotlib.rc_context(STYLE):
@@ -72,7 +72,7 @@ def _draw_curve(
 def distributions(groups: pd.DataFrame, measures: Sequence[str]) -> str:
     """SVG of cumulative distributions, one line per policy; over nominal runs if there are any."""
     nominal = groups[groups["perturbation"] == "nominal"]
-    part = complete(nominal if len(nominal) else groups)
+    part = uninterrupted(nominal if len(nominal) else groups)
     styles = line_styles(list(dict.fromkeys(groups["policy"])))
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(3.2 * len(measures), 2.7), layout="constrained")

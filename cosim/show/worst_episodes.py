@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 
-from cosim.batch.group_statistics import driven
+from cosim.batch.group_statistics import driven_groups
 
 
 def worst_episodes(groups: pd.DataFrame, count: int) -> pd.DataFrame:
@@ -11,7 +11,7 @@ def worst_episodes(groups: pd.DataFrame, count: int) -> pd.DataFrame:
 
     At most two have the same policy and perturbation, so that several are shown.
     """
-    ranked = driven(groups).assign(_ttc=lambda g: np.minimum(g["min_ttc"], 60.0))
+    ranked = driven_groups(groups).assign(_ttc=lambda g: np.minimum(g["min_ttc"], 60.0))
     ranked = ranked.sort_values(["contact", "_ttc", "min_gap"], ascending=[False, True, True])
     shown = ranked[ranked.groupby(["policy", "perturbation"]).cumcount() < 2]
     return shown.head(count).drop(columns="_ttc")

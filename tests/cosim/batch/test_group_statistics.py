@@ -31,13 +31,13 @@ def groups() -> pd.DataFrame:
 
 def test_counterparts_become_a_policy_once_per_start(groups):
     table = group_statistics.with_counterparts(groups)
-    assert table.groupby("policy").size().to_dict() == {"x": 3, "y": 3, group_statistics.SUMO: 3}
+    assert table.groupby("policy").size().to_dict() == {"x": 3, "y": 3, group_statistics.LEFT_TO_SUMO: 3}
 
 
 def test_a_run_left_to_sumo_as_a_whole_is_a_policy_like_any_other(groups):
-    null = pd.DataFrame([row("nobody", "sumo", "a1")])
+    null = pd.DataFrame([row("left", "sumo", "a1")])
     table = group_statistics.with_counterparts(pd.concat([groups, null], ignore_index=True))
-    assert (table["policy"] == "nobody").sum() == 1
+    assert (table["policy"] == "left").sum() == 1
 
 
 def test_interrupted_groups_count_in_nothing_else(groups):
@@ -48,15 +48,15 @@ def test_interrupted_groups_count_in_nothing_else(groups):
     # Wilson for 1 of 2: (0.5 + z²/4 ± z·sqrt(0.25/2 + z²/16)) / (1 + z²/2) with z = 1.96 is 0.0945 to 0.9055.
     assert (success.low, success.high) == pytest.approx((0.0945, 0.9055), abs=1e-3)
     assert table.loc["y", "success"].value == 1.0
-    assert table.loc[group_statistics.SUMO, "mean_speed"].value == 8.0
+    assert table.loc[group_statistics.LEFT_TO_SUMO, "mean_speed"].value == 8.0
 
 
 def test_pairs_are_the_same_start_on_both_sides(groups):
     table = group_statistics.with_counterparts(groups)
-    first, second = group_statistics.paired(table, "x", "y")
+    first, second = group_statistics.paired_starts(table, "x", "y")
     assert first["vehicle_0"].tolist() == second["vehicle_0"].tolist() == ["a1", "a2"]
     assert set(first["policy"]) == {"x"}
-    tests = group_statistics.compare(table, "x", "y")
+    tests = group_statistics.differences(table, "x", "y")
     assert tests["success"].difference.value == -0.5
     assert tests["success"].p == 1.0, "one start that differs: McNemar's exact p is 2 · 1/2"
     assert tests["min_gap"].difference.value == pytest.approx((0 - 11.0) / 2)
@@ -65,7 +65,7 @@ def test_pairs_are_the_same_start_on_both_sides(groups):
 
 def test_no_common_start_is_no_difference(groups):
     table = group_statistics.with_counterparts(groups)
-    tests = group_statistics.compare(table.assign(seed=np.where(table["policy"] == "x", 1, 2)), "x", "y")
+    tests = group_statistics.differences(table.assign(seed=np.where(table["policy"] == "x", 1, 2)), "x", "y")
     assert tests["success"].difference.n == 0
     assert np.isnan(tests["success"].p)
 
@@ -74,8 +74,8 @@ def test_intensities_keep_their_own_pairs(groups):
     table = group_statistics.with_counterparts(groups)
     perturbed = table[table["policy"].isin(["x", "y"])].assign(perturbation="braking", intensity=2.0)
     both = pd.concat([table, perturbed.assign(mean_speed=5.0)], ignore_index=True)
-    first, second = group_statistics.paired(both, "x", "y")
+    first, second = group_statistics.paired_starts(both, "x", "y")
     assert len(first) == 4
     assert (first["intensity"].isna().to_numpy() == second["intensity"].isna().to_numpy()).all()
-    _, left = group_statistics.paired(both, "x", group_statistics.SUMO)
-    assert set(left["policy"]) == {group_statistics.SUMO}
+    _, left = group_statistics.paired_starts(both, "x", group_statistics.LEFT_TO_SUMO)
+    assert set(left["policy"]) == {group_statistics.LEFT_TO_SUMO}

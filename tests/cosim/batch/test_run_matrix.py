@@ -112,7 +112,7 @@ def test_the_key_depends_on_content_alone(tmp_path, monkeypatch):
     [
         ("scenarios:", "scenario:", 1, "field scenario: unknown field; did you mean"),
         ("us101_car_following, i80", "us101_car_folowing, i80", 1, r"field scenarios\[0\]: unknown scenario"),
-        ("i80_car_following]", "us101_car_following]", 1, r"field scenarios\[1\]: a second scenario called"),
+        ("i80_car_following]", "us101_car_following]", 1, r"field scenarios\[1\]: two scenarios have the name"),
         ("checkpoint: us101", "chekpoint: us101", 3, "field policies.gri.chekpoint: unknown field"),
         ("kind: idm", "kind: idmm", 4, "field policies.idm.kind: invalid value 'idmm'"),
         ("[3, 5, 8]", "[3, -5]", 5, r"field seeds\[1\]: expected `int` >= 0"),
@@ -126,7 +126,7 @@ def test_the_key_depends_on_content_alone(tmp_path, monkeypatch):
         ("{variant: wide, seed: 8}", "{}", 14, "names no field"),
         ("seed: 9}", "seed: 9, intensity: 2}", 16, "a perturbation and its intensity belong together"),
         ("variant: wide, seed: 9}", "variant: wild, seed: 9}", 16, "unknown variant 'wild'; did you mean 'wide'"),
-        ("idm, variant: wide, seed: 9", "gri, variant: wide, seed: 3", 16, "the matrix has this run already"),
+        ("idm, variant: wide, seed: 9", "gri, variant: wide, seed: 3", 16, "the matrix already has this run"),
         ("checkpoint: us101_car_following}", "checkpoint: nobody}", 3, "no checkpoint 'nobody'"),
     ],
 )
