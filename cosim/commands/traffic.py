@@ -45,9 +45,11 @@ def traffic(
         variants = [override(scenario, {"seed": scenario.seed + k}) for k in range(seeds)]
         with ProgressDisplay() as progress:
             found = [_survey(variant, duration, progress, f"seed {variant.seed}") for variant in variants]
-        from cosim.studies.traffic_targets import figures_of, table_of
+        from cosim.studies.traffic_targets import statistics_table, traffic_statistics
 
-        console.print(table_of(name, scenario, [figures_of(v, s) for v, s in zip(variants, found, strict=True)]))
+        console.print(
+            statistics_table(name, scenario, [traffic_statistics(v, s) for v, s in zip(variants, found, strict=True)])
+        )
     next_command(f"cosim run {(scenarios or SITES)[0]}")
 
 
@@ -78,18 +80,18 @@ def calibrate(
     from cosim.spec.loading import load_scenario
 
     chosen = _with_target(_simulated(load_scenario(scenario), scenario), target_speed)
-    from cosim.studies.calibration import Search, calibrate, parameters
-    from cosim.studies.traffic_targets import frame_of, table_of
+    from cosim.studies.calibration import Calibration, calibrate, parameters
+    from cosim.studies.traffic_targets import statistics_frame, statistics_table
 
     folder = out or Path("runs", "calibrate", Path(scenario).stem)
     numbers = tuple(chosen.seed + k for k in range(seeds))
-    search = Search(chosen, parameters(free.split(","), chosen.traffic), numbers, duration, folder)
+    calibration = Calibration(chosen, parameters(free.split(","), chosen.traffic), numbers, duration, folder)
     began = time.monotonic()
     with ProgressDisplay() as progress:
-        best = calibrate(search, evaluations, workers or os.cpu_count() or 1, progress)
-    frame_of(best.runs).to_csv(folder / "seeds.csv", index=False)
-    console.print(table_of(f"{scenario}, best", chosen, best.runs))
-    values = ", ".join(f"{p.name} = {value:g}" for p, value in zip(search.free, best.values, strict=True))
+        best = calibrate(calibration, evaluations, workers or os.cpu_count() or 1, progress)
+    statistics_frame(best.runs).to_csv(folder / "seeds.csv", index=False)
+    console.print(statistics_table(f"{scenario}, best", chosen, best.runs))
+    values = ", ".join(f"{p.name} = {value:g}" for p, value in zip(calibration.free, best.values, strict=True))
     say(
         f"{values}; misfit {best.misfit:.3f} (below 1: within the tolerances of the targets)."
         f" {time.monotonic() - began:.0f} s."
@@ -157,9 +159,9 @@ def realism(
         if chosen:
             recorded = recorded[recorded["lane"].isin(chosen)]
             simulated = simulated if is_run else simulated[simulated["lane"].isin(chosen)]
-        from cosim.studies.realism_report import write
+        from cosim.studies.realism_report import write_realism_report
 
-        table = write(partial, simulated, recorded)
+        table = write_realism_report(partial, simulated, recorded)
     console.print(table)
     say(f"{time.monotonic() - began:.0f} s. Distances and picture: {folder}")
     next_command(f"cosim calibrate {subject}" if not is_run else f"cosim report {subject}")

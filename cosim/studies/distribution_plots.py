@@ -1,4 +1,4 @@
-"""Pictures of distributions: simulated beside recorded, and per lane or driver."""
+"""Plots of the distributions of simulated and recorded traffic, in total and per lane or driver."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,26 +9,29 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from cosim.studies.realism import COARSE, QUANTITIES, Quantity
+from cosim.studies.realism import FINE_PER_COARSE_BIN, QUANTITIES, Quantity
 
 COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7")
 RECORDED = "#444444"
-Parts = Mapping[str, tuple[pd.DataFrame, pd.DataFrame]]
+SamplePairs = Mapping[str, tuple[pd.DataFrame, pd.DataFrame]]
 
 
-def picture(curves: Mapping[str, pd.DataFrame], recorded: pd.DataFrame, parts: Parts, path: Path) -> None:
-    """Densities of all samples above, medians with the middle 50 and 90 % of each part below; PNG or SVG by suffix.
+def draw_distributions(
+    curves: Mapping[str, pd.DataFrame], recorded: pd.DataFrame, pairs: SamplePairs, path: Path
+) -> None:
+    """Draw densities of all samples, and medians with the middle 50 % and 90 % of each pair; PNG or SVG by suffix.
 
-    `curves` are sets of samples to draw beside the recorded ones, `parts` pairs of simulated and recorded samples.
+    `curves` are sets of samples to draw with the recorded ones; `pairs` are simulated and recorded samples per lane or
+    driver.
     """
     shown = [q for q in QUANTITIES if all(q.name in t for t in curves.values()) and recorded[q.name].notna().any()]
     with matplotlib.rc_context({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}):
         figure = Figure(figsize=(3.4 * len(shown), 6.4), layout="constrained")
         axes = figure.subplots(2, len(shown), squeeze=False)
         for column, quantity in enumerate(shown):
-            _densities(axes[0, column], quantity, curves, recorded)
-            _spans(axes[1, column], quantity, parts)
-        axes[0, 0].set_ylabel("density")
+            _draw_densities(axes[0, column], quantity, curves, recorded)
+            _draw_intervals(axes[1, column], quantity, pairs)
+        axes[0, 0].set_ylabel("probability density")
         axes[0, 0].legend(frameon=False)
         figure.savefig(path, dpi=130)
 
@@ -42,8 +45,10 @@ def _values(samples: pd.DataFrame, quantity: Quantity) -> np.ndarray:
     return values[(values >= quantity.low) & (values < quantity.high)]
 
 
-def _densities(axes: Axes, quantity: Quantity, curves: Mapping[str, pd.DataFrame], recorded: pd.DataFrame) -> None:
-    bins = quantity.low + COARSE * quantity.width * np.arange(len(quantity.centres) // COARSE + 1)
+def _draw_densities(axes: Axes, quantity: Quantity, curves: Mapping[str, pd.DataFrame], recorded: pd.DataFrame) -> None:
+    bins = quantity.low + FINE_PER_COARSE_BIN * quantity.width * np.arange(
+        len(quantity.centres) // FINE_PER_COARSE_BIN + 1
+    )
     theirs = _values(recorded, quantity)
     axes.hist(theirs, bins.tolist(), density=True, color=RECORDED, alpha=0.25, label="recorded")
     ends = [np.quantile(theirs, (0.002, 0.998))]
@@ -55,8 +60,8 @@ def _densities(axes: Axes, quantity: Quantity, curves: Mapping[str, pd.DataFrame
     axes.set_xlabel(_label(quantity))
 
 
-def _spans(axes: Axes, quantity: Quantity, parts: Parts) -> None:
-    for place, (simulated, recorded) in enumerate(parts.values()):
+def _draw_intervals(axes: Axes, quantity: Quantity, pairs: SamplePairs) -> None:
+    for place, (simulated, recorded) in enumerate(pairs.values()):
         for shift, colour, samples in ((-0.15, RECORDED, recorded), (0.15, COLOURS[0], simulated)):
             values = _values(samples, quantity)
             if not len(values):
@@ -65,6 +70,6 @@ def _spans(axes: Axes, quantity: Quantity, parts: Parts) -> None:
             axes.plot([low, high], [place + shift] * 2, color=colour, lw=1)
             axes.plot([q1, q3], [place + shift] * 2, color=colour, lw=4, solid_capstyle="butt")
             axes.plot(median, place + shift, "o", color="white", mec=colour, ms=5)
-    axes.set_yticks(range(len(parts)), list(parts))
+    axes.set_yticks(range(len(pairs)), list(pairs))
     axes.invert_yaxis()
     axes.set_xlabel(_label(quantity))

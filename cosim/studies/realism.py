@@ -1,11 +1,12 @@
 """How far simulated traffic is from recorded traffic: distances between distributions, with their uncertainty.
 
-Wasserstein-1: the mean distance that probability has to be moved, in the quantity's own unit. Jensen-Shannon: the
-square root of the divergence to base 2, between 0 (equal) and 1 (nothing in common); it depends on the bins.
+Wasserstein-1 distance: the mean distance by which probability has to be moved, in the unit of the quantity.
+Jensen-Shannon distance: the square root of the divergence to base 2, between 0 (equal) and 1 (disjoint); it depends on
+the bins.
 
-Samples of one vehicle resemble each other, so intervals come from resampled vehicles, on both sides. Both distances
-are above 0 even between two samples of the same traffic; `floor` says how far two random halves of the recording are
-apart.
+Samples of one vehicle are correlated, so intervals come from resampling vehicles, of both sources. Both distances are
+above 0 even between two samples of the same traffic. `floor` is therefore the median distance between two random halves
+of the recording.
 """
 
 from collections.abc import Sequence
@@ -21,12 +22,12 @@ from scipy.stats import wasserstein_distance
 from cosim.measures.statistics import Estimate
 
 RESAMPLES = 300
-COARSE = 4  # fine bins in a bin of the Jensen-Shannon distance
+FINE_PER_COARSE_BIN = 4  # the Jensen-Shannon distance uses coarse bins
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """What is compared: a column of a table of samples, where it counts, and the width of its fine bins."""
+    """A quantity to compare: a column of a table of samples, the range in which it counts, and its fine bin width."""
 
     name: str
     label: str
@@ -51,7 +52,10 @@ QUANTITIES = (
 
 @dataclass(frozen=True)
 class Distance:
-    """One quantity, two sets of samples: their means and numbers of vehicles, and how far they are apart."""
+    """The distances between simulated and recorded samples of one quantity, with vehicles and means (in this order).
+
+    `part` names the samples, such as a lane; `floor` has the floors of both distances.
+    """
 
     part: str
     quantity: Quantity
@@ -59,21 +63,21 @@ class Distance:
     means: tuple[float, float]
     wasserstein: Estimate
     jensen_shannon: Estimate
-    floor: tuple[float, float]  # of both distances
+    floor: tuple[float, float]
 
 
 def distances(part: str, simulated: pd.DataFrame, recorded: pd.DataFrame, seed: int = 0) -> list[Distance]:
-    """Distances of all quantities that both tables know; values outside a quantity's range do not count."""
+    """Distances of all quantities that both tables of samples have. Values outside a quantity's range do not count."""
     found = []
     for quantity in QUANTITIES:
         if quantity.name in simulated and quantity.name in recorded:
-            ours, theirs = _known(simulated, quantity), _known(recorded, quantity)
+            ours, theirs = _in_range(simulated, quantity), _in_range(recorded, quantity)
             if len(ours) and len(theirs):
                 found.append(_distance(part, quantity, ours, theirs, np.random.default_rng(seed)))
     return found
 
 
-def _known(samples: pd.DataFrame, quantity: Quantity) -> pd.DataFrame:
+def _in_range(samples: pd.DataFrame, quantity: Quantity) -> pd.DataFrame:
     return samples[samples[quantity.name].between(quantity.low, quantity.high, inclusive="left")]
 
 
@@ -82,10 +86,10 @@ def _distance(
 ) -> Distance:
     ours, theirs = _histograms(simulated, quantity), _histograms(recorded, quantity)
     whole = partial(np.sum, axis=0, keepdims=True)
-    point = _both(whole(ours), whole(theirs), quantity)[:, 0]
-    resampled = _both(_resampled(ours, rng), _resampled(theirs, rng), quantity)
+    point = _distances_of(whole(ours), whole(theirs), quantity)[:, 0]
+    resampled = _distances_of(_resampled(ours, rng), _resampled(theirs, rng), quantity)
     low, high = np.quantile(resampled, (0.025, 0.975), axis=1)
-    floor = np.median(_both(*_halves(theirs, rng), quantity), axis=1) if len(theirs) > 1 else np.full(2, np.nan)
+    floor = np.median(_distances_of(*_halves(theirs, rng), quantity), axis=1) if len(theirs) > 1 else np.full(2, np.nan)
     estimates = [Estimate(float(point[k]), float(low[k]), float(high[k]), len(ours)) for k in range(2)]
     return Distance(
         part,
@@ -99,7 +103,7 @@ def _distance(
 
 
 def _histograms(samples: pd.DataFrame, quantity: Quantity) -> Float[np.ndarray, "vehicles bins"]:
-    """Counts in the fine bins, a row per vehicle."""
+    """Counts in the fine bins, one row per vehicle."""
     vehicle = pd.MultiIndex.from_frame(samples[["source", "vehicle"]]).factorize()[0]
     bins = len(quantity.centres)
     which = ((samples[quantity.name].to_numpy() - quantity.low) / quantity.width).astype(int).clip(0, bins - 1)
@@ -109,7 +113,7 @@ def _histograms(samples: pd.DataFrame, quantity: Quantity) -> Float[np.ndarray, 
 
 
 def _resampled(counts: Float[np.ndarray, "vehicles bins"], rng: np.random.Generator) -> Float[np.ndarray, "draws bins"]:
-    """Histograms of as many vehicles, drawn with replacement."""
+    """Histograms of the same number of vehicles, drawn with replacement."""
     n = len(counts)
     return rng.multinomial(n, np.full(n, 1 / n), size=RESAMPLES).astype(float) @ counts
 
@@ -117,24 +121,24 @@ def _resampled(counts: Float[np.ndarray, "vehicles bins"], rng: np.random.Genera
 def _halves(
     counts: Float[np.ndarray, "vehicles bins"], rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, "draws bins"], Float[np.ndarray, "draws bins"]]:
-    """Histograms of the vehicles split in two at random, several times."""
+    """Histograms of two random halves of the vehicles, for RESAMPLES splits."""
     first = rng.permuted(np.tile(np.arange(len(counts)) < len(counts) // 2, (RESAMPLES, 1)), axis=1).astype(float)
     return first @ counts, (1 - first) @ counts
 
 
-def _both(
+def _distances_of(
     ours: Float[np.ndarray, "draws bins"], theirs: Float[np.ndarray, "draws bins"], quantity: Quantity
 ) -> Float[np.ndarray, "2 draws"]:
-    """Wasserstein and Jensen-Shannon distance of each pair of histograms."""
+    """Wasserstein and Jensen-Shannon distance between each pair of histograms."""
     x = quantity.centres
     moved = [wasserstein_distance(x, x, p, q) for p, q in zip(ours, theirs, strict=True)]
-    coarse = (counts.reshape(len(counts), -1, COARSE).sum(-1) for counts in (ours, theirs))
+    coarse = (counts.reshape(len(counts), -1, FINE_PER_COARSE_BIN).sum(-1) for counts in (ours, theirs))
     apart = [jensenshannon(p, q, 2) for p, q in zip(*coarse, strict=True)]
     return np.array([moved, apart])
 
 
-def frame_of(found: Sequence[Distance]) -> pd.DataFrame:
-    """One row per part and quantity, for a file."""
+def distances_frame(found: Sequence[Distance]) -> pd.DataFrame:
+    """One row per part and quantity, for a file; means and Wasserstein distances in `unit`."""
     return pd.DataFrame(
         [
             {

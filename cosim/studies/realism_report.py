@@ -1,4 +1,4 @@
-"""The files and the table of a comparison with a recording."""
+"""The files and the table of a comparison of simulated with recorded traffic."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -8,15 +8,16 @@ from rich.markup import escape
 from rich.table import Table
 
 from cosim.runs.summary import DRIVER_NAMES
-from cosim.studies.distribution_plots import picture
-from cosim.studies.realism import Distance, distances, frame_of
+from cosim.studies.distribution_plots import draw_distributions
+from cosim.studies.realism import Distance, distances, distances_frame
 from gri.errors import InputError
 
 
-def write(folder: Path, simulated: pd.DataFrame, recorded: pd.DataFrame) -> Table:
-    """Write `distances.csv` and `realism.png` and return the table a person reads.
+def write_realism_report(folder: Path, simulated: pd.DataFrame, recorded: pd.DataFrame) -> Table:
+    """Write `distances.csv` and `realism.png` to `folder`, and return the table for the terminal.
 
-    Simulated traffic is compared as a whole and lane by lane; a run driver by driver, each with the whole recording.
+    Simulated traffic is compared as a whole and per lane. A run is compared per driver, each with the whole recording.
+    Raises `InputError` if no quantity can be compared.
     """
     if "driver" in simulated:
         groups = simulated.groupby("driver", sort=False)
@@ -29,9 +30,9 @@ def write(folder: Path, simulated: pd.DataFrame, recorded: pd.DataFrame) -> Tabl
         compared = {"all": (simulated, recorded), **parts}
     found = [distance for part, pair in compared.items() for distance in distances(part, *pair)]
     if not found:
-        raise InputError("--against: nothing in it can be compared; are the lanes and the stretch the right ones?")
-    frame_of(found).to_csv(folder / "distances.csv", index=False, float_format="%.4f")
-    picture(curves, recorded, parts, folder / "realism.png")
+        raise InputError("--against: no quantity can be compared; check the lanes and the stretch")
+    distances_frame(found).to_csv(folder / "distances.csv", index=False, float_format="%.4f")
+    draw_distributions(curves, recorded, parts, folder / "realism.png")
     return _table(found)
 
 
@@ -41,8 +42,14 @@ def _by_lane(simulated: pd.DataFrame, recorded: pd.DataFrame) -> dict[float, tup
 
 
 def _table(found: Sequence[Distance]) -> Table:
-    table = Table(title="Means, and distances from the recording (95 % intervals over vehicles)", title_justify="left")
-    for header in ("", "", "simulated", "recorded", "Wasserstein", "floor", "JS", "floor"):
+    table = Table(
+        title="Simulated and recorded traffic: means and distances between distributions",
+        title_justify="left",
+        caption="Wasserstein distances are in the unit of the quantity, with 95 % intervals over vehicles. A floor is"
+        " the distance between two random halves of the recording.",
+        caption_justify="left",
+    )
+    for header in ("", "", "simulated", "recorded", "Wasserstein", "floor", "Jensen-Shannon", "floor"):
         table.add_column(header, justify="right" if header else "left", no_wrap=True)
     last = ""
     for d in found:

@@ -1,8 +1,8 @@
-"""Samples of traffic, about one a second, from a recording, a run or a table: what realism is measured on.
+"""Samples of traffic, about one per second and vehicle, from a recording, a run or a table.
 
-A table of samples has a row per vehicle and instant in SI units: `source` (within which times and vehicles mean
-something), `time`, `vehicle`, `lane` (1 = leftmost, NaN unknown), `x` (front bumper along the road), `v`, `a`, `length`
-(NaN unknown). `with_headways` adds what a driver keeps to the vehicle ahead.
+A table of samples has one row per vehicle and time, in SI units: `source` (times and vehicles are unique within it
+only), `time`, `vehicle`, `lane` (1 = leftmost, NaN unknown), `x` (front bumper along the road), `v`, `a`, `length` (NaN
+unknown). `with_headways` adds headways and time gaps to the vehicle ahead.
 """
 
 from pathlib import Path
@@ -19,8 +19,8 @@ from gri.data.ngsim.smoothing import Motion, Smoothing, smoothed
 from gri.data.scene_file.schema import KEY
 from gri.errors import InputError
 
-EVERY = 1.0  # [s] between two samples of a vehicle
-MOVING = 1.0  # [m/s], below which headways in seconds mean nothing
+SAMPLE_PERIOD = 1.0  # [s] between two samples of a vehicle
+MIN_SPEED = 1.0  # [m/s]; below it, time headways are not defined
 COLUMNS = ("source", "time", "vehicle", "lane", "x", "v", "a", "length")
 SMOOTHING = Smoothing()
 
@@ -28,40 +28,45 @@ SMOOTHING = Smoothing()
 def with_headways(samples: pd.DataFrame) -> pd.DataFrame:
     """The samples with `headway` [m], `time_headway` [s] and `time_gap` [s] to the next vehicle in the lane.
 
-    The headway counts from front bumper to front bumper, and in seconds at the follower's speed, as NGSIM has it; the
-    time gap counts from the front bumper to the rear bumper ahead. NaN: nobody ahead, an unknown lane or length, or,
-    for the latter two, a follower slower than `MOVING`.
+    Headways are from front bumper to front bumper, as in NGSIM; the time gap is from the front bumper to the rear
+    bumper ahead. Both times are at the speed of the follower. NaN: no vehicle ahead, an unknown lane or length, or, for
+    times, a follower slower than `MIN_SPEED`.
     """
     ordered = samples.sort_values(["source", "time", "lane", "x"], kind="stable")
     ahead = ordered.shift(-1)
     together = np.logical_and.reduce([ordered[name].eq(ahead[name]) for name in ("source", "time", "lane")])
     headway = (ahead["x"] - ordered["x"]).where(together)
-    moving = ordered["v"].where(ordered["v"] >= MOVING)
+    moving = ordered["v"].where(ordered["v"] >= MIN_SPEED)
     gap = headway - ahead["length"].where(ahead["length"] > 0)
     added = ordered.assign(headway=headway, time_headway=headway / moving, time_gap=gap / moving)
     return added.loc[samples.index]
 
 
 def recorded_samples(path: Path) -> pd.DataFrame:
-    """Samples of a trajectory file: NGSIM's columns, a scene file, or a Parquet table of `COLUMNS`."""
+    """Samples of a trajectory file: NGSIM's columns, a scene file, or a Parquet table with `COLUMNS`.
+
+    Raises `InputError` if the file is none of these, or too short.
+    """
     if path.suffix == ".parquet":
-        found = _of_scenes(path) if KEY in (_metadata(path) or {}) else _of_table(path)
+        found = _samples_of_scenes(path) if KEY in (_metadata(path) or {}) else _samples_of_table(path)
     else:
-        parts = [_of_motion(r.name, smoothed(clean(r)[0], SMOOTHING)) for r in recordings(path)]
+        parts = [_samples_of_motion(r.name, smoothed(clean(r)[0], SMOOTHING)) for r in recordings(path)]
         found = pd.concat(parts, ignore_index=True)
     if found.empty:
-        raise InputError(f"{path}: no vehicle is seen for {SMOOTHING.window * FRAME:g} s or more; give a longer file")
+        raise InputError(
+            f"{path}: no vehicle is recorded for {SMOOTHING.window * FRAME:g} s or longer; give a longer file"
+        )
     return with_headways(found)
 
 
 def run_samples(folder: Path) -> pd.DataFrame:
-    """Samples of the vehicles 0 and 1 of a run while they were under way; `driver` says who drove them."""
+    """Samples of vehicles 0 and 1 of a run during the drive; `driver` is the policy that drove them."""
     steps = read_tables(folder)["steps"]
     steps = steps[steps["during_drive"] & steps["present"] & steps["role"].isin([0, 1])]
     step = steps["time"].drop_duplicates().sort_values().diff().min()
     tick = (steps["time"] / step).round().astype(int)
-    steps = steps[tick % round(EVERY / step) == 0]
-    seconds = steps["gap"] / steps["v"].where(steps["v"] >= MOVING)
+    steps = steps[tick % round(SAMPLE_PERIOD / step) == 0]
+    seconds = steps["gap"] / steps["v"].where(steps["v"] >= MIN_SPEED)
     return pd.DataFrame(
         {
             "source": steps["driver"],
@@ -75,9 +80,9 @@ def run_samples(folder: Path) -> pd.DataFrame:
     )
 
 
-def _of_motion(name: str, motion: Motion) -> pd.DataFrame:
-    """A recording's tracks once a second."""
-    kept = motion.step % round(EVERY / SMOOTHING.dt) == 0
+def _samples_of_motion(name: str, motion: Motion) -> pd.DataFrame:
+    """The smoothed tracks of a recording, once per second."""
+    sampled = motion.step % round(SAMPLE_PERIOD / SMOOTHING.dt) == 0
     table = pd.DataFrame(
         {
             "time": motion.step * SMOOTHING.dt,
@@ -89,13 +94,13 @@ def _of_motion(name: str, motion: Motion) -> pd.DataFrame:
             "length": np.where(motion.length > 0, motion.length, np.nan),
         }
     )
-    return table[kept].assign(source=name)
+    return table[sampled].assign(source=name)
 
 
-def _of_scenes(path: Path) -> pd.DataFrame:
-    """A scene file; only in car following all vehicles are known to be in one lane."""
+def _samples_of_scenes(path: Path) -> pd.DataFrame:
+    """A scene file; the lane is known in car following only, in which all vehicles are in one lane."""
     table = pd.read_parquet(path)
-    table = table[table["valid"] & ((table["time"] / EVERY) % 1 < 1e-6)]
+    table = table[table["valid"] & ((table["time"] / SAMPLE_PERIOD) % 1 < 1e-6)]
     return pd.DataFrame(
         {
             "source": table["source"].astype(str) + "/" + table["scene"].astype(str),
@@ -110,7 +115,7 @@ def _of_scenes(path: Path) -> pd.DataFrame:
     )
 
 
-def _of_table(path: Path) -> pd.DataFrame:
+def _samples_of_table(path: Path) -> pd.DataFrame:
     table = pd.read_parquet(path)
     if missing := [name for name in COLUMNS if name not in table]:
         raise InputError(f"{path}: column {missing[0]} is missing; wanted {', '.join(COLUMNS)}, or a scene file")

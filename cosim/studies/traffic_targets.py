@@ -1,4 +1,4 @@
-"""The figures by which simulated traffic is judged, and how they compare with what was recorded."""
+"""Statistics of simulated traffic, compared with the recorded targets of the scenario."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -12,17 +12,18 @@ from cosim.runs.traffic_survey import Survey
 from cosim.spec.demand import Targets
 from cosim.spec.scenario import Scenario
 
-KMH = 3.6  # km/h in a m/s
-LONG = 7.0  # [m], longer vehicles count as trucks
-STANDING = 0.5  # [m/s]
+KMH_PER_MS = 3.6
+TRUCK_LENGTH = 7.0  # [m]; longer vehicles count as trucks
+STANDING_SPEED = 0.5  # [m/s]; slower vehicles count as standing
 
 
 @dataclass(frozen=True)
-class Figures:
-    """What one survey shows after the warm-up; speeds in m/s, flows in veh/h, shares between 0 and 1.
+class TrafficStatistics:
+    """Statistics of one survey after the warm-up; speeds in m/s, flows in veh/h, shares between 0 and 1.
 
-    `speed` and `mainline` have a value per demand interval, `lanes` a row (speed, share of vehicles) per lane from the
-    left. `mainline` is what enters the study area on the main road, `flow` what enters it anywhere.
+    `speed` and `mainline` have one value per demand interval, `lanes` has one row (speed, share of samples) per lane
+    from the left. `mainline` is the flow that enters the study area on the main road, `flow` the one on all roads.
+    `hardest_braking` is in m/s²; `waiting` vehicles had not entered at the end.
     """
 
     seed: int
@@ -41,26 +42,26 @@ class Figures:
 
 
 @dataclass(frozen=True)
-class Check:
-    """One target: what was wanted, how far [relative] one may be off, and what was reached."""
+class TargetCheck:
+    """One target: its value, its relative tolerance, and the simulated value, in the same unit."""
 
     label: str
-    wanted: float
+    target: float
     tolerance: float
-    reached: float
+    simulated: float
 
     @property
     def error(self) -> float:
-        """Relative error."""
-        return self.reached / self.wanted - 1
+        """Relative error, simulated / target − 1."""
+        return self.simulated / self.target - 1
 
     @property
-    def met(self) -> bool:
+    def within_tolerance(self) -> bool:
         return abs(self.error) <= self.tolerance
 
 
-def figures_of(scenario: Scenario, result: Survey) -> Figures:
-    """The figures of a survey of that scenario."""
+def traffic_statistics(scenario: Scenario, result: Survey) -> TrafficStatistics:
+    """The statistics of a survey of undisturbed traffic in this scenario."""
     begin, interval = scenario.traffic.warm_up, scenario.traffic.interval
     samples = result.samples[result.samples["time"] > begin + 1e-6]
     number = ((samples["time"] - begin - 1e-6) // interval).astype(int)
@@ -71,7 +72,7 @@ def figures_of(scenario: Scenario, result: Survey) -> Figures:
     from_ramp = np.array([vehicle.rpartition(".")[0] in ramps for vehicle in map(str, entries.index)], dtype=bool)
     lasted = np.diff(np.append(np.unique(number) * interval, samples["time"].max() - begin))
     main = ((entries["time"][~from_ramp] - begin - 1e-6) // interval).astype(int)
-    return Figures(
+    return TrafficStatistics(
         seed=scenario.seed,
         mean_speed=float(samples["v"].mean()),
         speed=tuple(samples.groupby(number)["v"].mean().tolist()),
@@ -79,8 +80,8 @@ def figures_of(scenario: Scenario, result: Survey) -> Figures:
         flow=3600 * len(entries) / float(lasted.sum()),
         mainline=tuple((3600 * np.bincount(main, minlength=len(lasted)) / lasted).tolist()),
         ramp_share=float(from_ramp.mean()),
-        long_share=float((entries["length"] > LONG).mean()),
-        standing_share=float((samples["v"] < STANDING).mean()),
+        long_share=float((entries["length"] > TRUCK_LENGTH).mean()),
+        standing_share=float((samples["v"] < STANDING_SPEED).mean()),
         hardest_braking=result.hardest_braking,
         waiting=result.waiting,
         collisions=result.collisions,
@@ -88,69 +89,80 @@ def figures_of(scenario: Scenario, result: Survey) -> Figures:
     )
 
 
-def checks(targets: Targets, reached: Figures) -> Iterator[Check]:
-    """How the figures compare with each target."""
-    yield Check("mean speed", targets.mean_speed, targets.speed_tolerance, reached.mean_speed)
-    for k, flow in enumerate(reached.mainline):
-        wanted = targets.mainline[min(k, len(targets.mainline) - 1)]
-        yield Check(f"main road, interval {k + 1}", wanted, targets.flow_tolerance, flow)
-    yield Check("share from the ramp", targets.ramp_share, targets.flow_tolerance, reached.ramp_share)
+def target_checks(targets: Targets, simulated: TrafficStatistics) -> Iterator[TargetCheck]:
+    """A check per target: mean speed, flow on the main road per demand interval, share from the ramps."""
+    yield TargetCheck("mean speed", targets.mean_speed, targets.speed_tolerance, simulated.mean_speed)
+    for k, flow in enumerate(simulated.mainline):
+        target = targets.mainline[min(k, len(targets.mainline) - 1)]
+        yield TargetCheck(f"main road, interval {k + 1}", target, targets.flow_tolerance, flow)
+    yield TargetCheck("share from the ramps", targets.ramp_share, targets.flow_tolerance, simulated.ramp_share)
 
 
-def met(targets: Targets, reached: Figures) -> bool:
-    """Whether every target is reached, and nobody collided or was teleported."""
-    return not reached.collisions and not reached.teleports and all(check.met for check in checks(targets, reached))
+def targets_reached(targets: Targets, simulated: TrafficStatistics) -> bool:
+    """Whether all targets are reached within their tolerances, without collisions and teleports."""
+    return (
+        not simulated.collisions
+        and not simulated.teleports
+        and all(check.within_tolerance for check in target_checks(targets, simulated))
+    )
 
 
-def table_of(name: str, scenario: Scenario, runs: Sequence[Figures]) -> Table:
-    """The figures as a person reads them, a column per seed, beside the targets where the scenario has some."""
+def statistics_table(name: str, scenario: Scenario, runs: Sequence[TrafficStatistics]) -> Table:
+    """The statistics for the terminal: one column per seed, and one with the targets if the scenario has some."""
     table = Table(title=f"{name}: undisturbed traffic after the warm-up", title_justify="left")
     targets = scenario.traffic.targets
     for header in ("", *(["target"] if targets else []), *(f"seed {run.seed}" for run in runs)):
         table.add_column(header, justify="right" if header else "left", no_wrap=not header)
-    for label, wanted, values in _rows(targets, runs):
-        table.add_row(escape(label), *([wanted] if targets else []), *values)
+    for label, target, values in _rows(targets, runs):
+        table.add_row(escape(label), *([target] if targets else []), *values)
     return table
 
 
-def _rows(targets: Targets | None, runs: Sequence[Figures]) -> Iterator[tuple[str, str, list[str]]]:
-    yield _row("mean speed [km/h]", targets, runs, 0, [run.mean_speed for run in runs], KMH, 1)
-    yield "  by interval", "", [_listed(np.multiply(KMH, run.speed), 1) for run in runs]
-    yield "  by lane, left to right", "", [_listed([KMH * v for v, _ in run.lanes], 0) for run in runs]
-    yield "vehicles by lane [%]", "", [_listed([100 * share for _, share in run.lanes], 0) for run in runs]
-    yield "flow in [veh/h]", "", [f"{run.flow:.0f}" for run in runs]
+def _rows(targets: Targets | None, runs: Sequence[TrafficStatistics]) -> Iterator[tuple[str, str, list[str]]]:
+    yield _row("mean speed [km/h]", targets, runs, 0, [run.mean_speed for run in runs], KMH_PER_MS, 1)
+    yield "  by demand interval", "", [_listed(np.multiply(KMH_PER_MS, run.speed), 1) for run in runs]
+    yield "  by lane, from the left", "", [_listed([KMH_PER_MS * v for v, _ in run.lanes], 0) for run in runs]
+    yield (
+        "vehicles by lane, from the left [%]",
+        "",
+        [_listed([100 * share for _, share in run.lanes], 0) for run in runs],
+    )
+    yield "flow into the study area [veh/h]", "", [f"{run.flow:.0f}" for run in runs]
     for k in range(len(runs[0].mainline)):
         values = [run.mainline[k] for run in runs]
-        yield _row(f"  main road, interval {k + 1}", targets, runs, 1 + k, values, 1.0, 0)
-    yield _row("  from the ramp [%]", targets, runs, -1, [run.ramp_share for run in runs], 100.0, 1)
-    yield "longer than 7 m [%]", "", [f"{100 * run.long_share:.1f}" for run in runs]
-    yield "standing (< 0.5 m/s) [%]", "", [f"{100 * run.standing_share:.1f}" for run in runs]
+        yield _row(f"  main road, interval {k + 1} [veh/h]", targets, runs, 1 + k, values, 1.0, 0)
+    yield _row("  from the ramps [%]", targets, runs, -1, [run.ramp_share for run in runs], 100.0, 1)
+    yield "vehicles longer than 7 m [%]", "", [f"{100 * run.long_share:.1f}" for run in runs]
+    yield "standing vehicles (< 0.5 m/s) [%]", "", [f"{100 * run.standing_share:.1f}" for run in runs]
     yield "hardest braking [m/s²]", "", [f"{run.hardest_braking:.1f}" for run in runs]
-    yield "waiting at the end", "", [str(run.waiting) for run in runs]
+    yield "vehicles waiting to enter at the end", "", [str(run.waiting) for run in runs]
     yield "collisions / teleports", "0 / 0", [f"{run.collisions} / {run.teleports}" for run in runs]
     if targets:
-        yield "all targets reached", "", ["yes" if met(targets, run) else "no" for run in runs]
+        yield "all targets reached", "", ["yes" if targets_reached(targets, run) else "no" for run in runs]
 
 
 def _row(
     label: str,
     targets: Targets | None,
-    runs: Sequence[Figures],
-    which: int,
+    runs: Sequence[TrafficStatistics],
+    check: int,
     values: Sequence[float],
-    unit: float,
+    factor: float,
     digits: int,
 ) -> tuple[str, str, list[str]]:
-    """A row of figures that have a target: with relative errors, and a mark where they are beyond the tolerance."""
-    texts = [f"{unit * value:.{digits}f}" for value in values]
+    """A row of values with a target (number `check`), with relative errors; "!" marks values beyond the tolerance."""
+    texts = [f"{factor * value:.{digits}f}" for value in values]
     if targets is None:
         return label, "", texts
-    found = [list(checks(targets, run))[which] for run in runs]
-    wanted = f"{unit * found[0].wanted:.{digits}f} ± {100 * found[0].tolerance:.0f} %"
+    found = [list(target_checks(targets, run))[check] for run in runs]
+    target = f"{factor * found[0].target:.{digits}f} ± {100 * found[0].tolerance:.0f} %"
     return (
         label,
-        wanted,
-        [f"{t} ({100 * c.error:+.1f} %){'' if c.met else ' !'}" for t, c in zip(texts, found, strict=True)],
+        target,
+        [
+            f"{t} ({100 * c.error:+.1f} %){'' if c.within_tolerance else ' !'}"
+            for t, c in zip(texts, found, strict=True)
+        ],
     )
 
 
@@ -158,8 +170,8 @@ def _listed(values: Sequence[float] | np.ndarray, digits: int) -> str:
     return ", ".join(f"{value:.{digits}f}" for value in values)
 
 
-def frame_of(runs: Sequence[Figures]) -> pd.DataFrame:
-    """A row per seed, lists spread over columns, for a file."""
+def statistics_frame(runs: Sequence[TrafficStatistics]) -> pd.DataFrame:
+    """One row per seed for a file; lists are spread over columns."""
     return pd.DataFrame(
         [
             {

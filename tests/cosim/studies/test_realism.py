@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cosim.studies.realism import QUANTITIES, distances, frame_of
+from cosim.studies.realism import QUANTITIES, distances, distances_frame
 
 
 def speeds(*per_vehicle: list[float]) -> pd.DataFrame:
@@ -67,6 +67,6 @@ def test_bins_fill_the_range_and_come_in_fours():
 
 
 def test_a_row_per_part_and_quantity():
-    table = frame_of(distances("lane 1", speeds([10.0]), speeds([11.0])))
+    table = distances_frame(distances("lane 1", speeds([10.0]), speeds([11.0])))
     assert table.loc[0, ["part", "quantity", "unit"]].tolist() == ["lane 1", "v", "m/s"]
     assert table.loc[0, "wasserstein"] == pytest.approx(1.0)

@@ -71,7 +71,7 @@ def test_a_recording_once_a_second_in_metres(tmp_path):
 
 
 def test_too_short_a_recording_is_refused(tmp_path):
-    with pytest.raises(InputError, match="no vehicle is seen for"):
+    with pytest.raises(InputError, match="no vehicle is recorded for"):
         recorded_samples(ngsim_file(tmp_path / "us-101.csv", seconds=1.0))
 
 

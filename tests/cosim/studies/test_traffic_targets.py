@@ -1,4 +1,4 @@
-"""Figures of surveys by hand, and how they are held against targets."""
+"""Statistics of hand-made surveys, and their comparison with targets."""
 
 import msgspec
 import pandas as pd
@@ -9,7 +9,13 @@ from rich.markup import escape
 from cosim.runs.traffic_survey import Survey
 from cosim.spec.demand import Targets
 from cosim.spec.loading import load_scenario
-from cosim.studies.traffic_targets import checks, figures_of, frame_of, met, table_of
+from cosim.studies.traffic_targets import (
+    statistics_frame,
+    statistics_table,
+    target_checks,
+    targets_reached,
+    traffic_statistics,
+)
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +40,7 @@ def figures(scenario):
         (1200.0, "through.2", 5.0, 1, 5.0),
     ]
     names = ["time", "vehicle", "length", "lane", "v"]
-    return figures_of(scenario, Survey(pd.DataFrame(rows, columns=names), -3.25, 7, 0, 0))
+    return traffic_statistics(scenario, Survey(pd.DataFrame(rows, columns=names), -3.25, 7, 0, 0))
 
 
 def test_figures_by_hand(figures):
@@ -49,15 +55,15 @@ def test_figures_by_hand(figures):
 
 def test_targets_are_met_within_their_tolerance(scenario, figures):
     targets = scenario.traffic.targets
-    assert met(targets, figures)
-    assert [check.label for check in checks(targets, figures)] == [
-        "mean speed", "main road, interval 1", "main road, interval 2", "share from the ramp",
+    assert targets_reached(targets, figures)
+    assert [check.label for check in target_checks(targets, figures)] == [
+        "mean speed", "main road, interval 1", "main road, interval 2", "share from the ramps",
     ]  # fmt: skip
-    assert met(replace(targets, mean_speed=6.6), figures)  # 9.1 % off
-    assert not met(replace(targets, mean_speed=6.7), figures)  # 10.4 % off
-    assert not met(replace(targets, mainline=(24.0, 12.7)), figures)
-    assert met(replace(targets, mainline=(24.0, 12.6)), figures)
-    assert not met(targets, msgspec.convert({**frame(figures), "collisions": 1}, type(figures)))
+    assert targets_reached(replace(targets, mean_speed=6.6), figures)  # 9.1 % off
+    assert not targets_reached(replace(targets, mean_speed=6.7), figures)  # 10.4 % off
+    assert not targets_reached(replace(targets, mainline=(24.0, 12.7)), figures)
+    assert targets_reached(replace(targets, mainline=(24.0, 12.6)), figures)
+    assert not targets_reached(targets, msgspec.convert({**frame(figures), "collisions": 1}, type(figures)))
 
 
 def frame(figures):
@@ -65,7 +71,7 @@ def frame(figures):
 
 
 def test_the_last_rate_lasts(scenario, figures):
-    found = [check.wanted for check in checks(replace(scenario.traffic.targets, mainline=(24.0,)), figures)]
+    found = [check.target for check in target_checks(replace(scenario.traffic.targets, mainline=(24.0,)), figures)]
     assert found[1:3] == [24.0, 24.0]
 
 
@@ -75,19 +81,19 @@ def cells(table):
 
 def test_the_table_says_what_was_missed(scenario, figures):
     targets = replace(scenario.traffic.targets, mainline=(24.0, 12.0), mean_speed=5.0)
-    told = replace(scenario, traffic=replace(scenario.traffic, targets=targets))
-    rows = {label: rest for label, *rest in cells(table_of("x", told, [figures, figures]))}
+    with_targets = replace(scenario, traffic=replace(scenario.traffic, targets=targets))
+    rows = {label: rest for label, *rest in cells(statistics_table("x", with_targets, [figures, figures]))}
     assert rows[escape("mean speed [km/h]")] == ["18.0 ± 10 %"] + ["21.6 (+20.0 %) !"] * 2
-    assert rows[escape("  main road, interval 1")][1] == "24 (+0.0 %)"
+    assert rows[escape("  main road, interval 1 [veh/h]")][1] == "24 (+0.0 %)"
     assert rows["all targets reached"][1:] == ["no", "no"]
     without = replace(scenario, traffic=replace(scenario.traffic, targets=None))
-    rows = {label: rest for label, *rest in cells(table_of("x", without, [figures]))}
+    rows = {label: rest for label, *rest in cells(statistics_table("x", without, [figures]))}
     assert rows[escape("mean speed [km/h]")] == ["21.6"]
     assert "all targets reached" not in rows
 
 
 def test_a_row_per_seed(figures):
-    table = frame_of([figures])
+    table = statistics_frame([figures])
     assert table.loc[0, ["mean_speed", "mainline_2", "lane_1_share", "waiting"]].tolist() == [6.0, 12.0, 0.6, 7]
 
 
