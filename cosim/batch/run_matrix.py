@@ -15,7 +15,7 @@ import msgspec
 
 from cosim.batch.spec import NOMINAL, PLAIN, Batch, ExtraRun, Sweep
 from cosim.spec.input_files import input_files, sha256
-from cosim.spec.loading import find, load_scenario, traffic_of
+from cosim.spec.loading import find_file, load_scenario, traffic_content
 from cosim.spec.scenario import Driver, Scenario, tag_of
 from gri.config import checked, located, parsed, typed
 from gri.errors import InputError
@@ -57,7 +57,7 @@ class Run:
 
 def load_batch(name: str) -> tuple[Batch, Path]:
     """The batch of that name (shipped in `scenarios/batch/`) or path, and its file."""
-    path = find(name, "scenarios/batch", "batch")
+    path = find_file(name, "scenarios/batch", "batch")
     content = parsed(path)
     if isinstance(content, dict):
         for field, kind in (("policies", Driver), ("perturbations", Sweep), ("variants", dict)):
@@ -210,7 +210,7 @@ class _Matrix:
     def _overlaid(self, content: dict[str, Any], changes: dict[str, Any], where: tuple[str, ...]) -> dict[str, Any]:
         if isinstance(changes.get("traffic"), str):
             with _naming_field(self._path, (*where, "traffic")):
-                changes = {**changes, "traffic": traffic_of(changes["traffic"], beside=self._path)}
+                changes = {**changes, "traffic": traffic_content(changes["traffic"], beside=self._path)}
         content = _overlay(content, changes)
         checked(content, Scenario, self._path, under=where)
         return content

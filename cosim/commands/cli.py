@@ -79,11 +79,11 @@ for _command in (report, explain, render, gui, traffic, calibrate, realism, scen
 @app.command("list")
 def list_() -> None:
     """List the shipped scenarios, nets and checkpoints."""
-    from cosim.spec.loading import load_scenario, names_of
+    from cosim.spec.loading import load_scenario, shipped_names
     from gri.resources import checkpoints, shipped
 
     console.print("scenarios", style="bold")
-    for name in names_of("scenarios"):
+    for name in shipped_names("scenarios"):
         say(f"  {name}  {load_scenario(name).description}")
     console.print("nets", style="bold")
     for path in sorted(shipped("sumo_nets").glob("*/*.net.xml")):

@@ -8,7 +8,7 @@ import msgspec
 
 from cosim.scenes.rules import DT, KINDS, Kind, Rules
 from cosim.spec.loading import override
-from cosim.spec.scenario import Scenario, Simulated
+from cosim.spec.scenario import Scenario, SimulatedTraffic
 from gri.errors import InputError
 
 
@@ -18,7 +18,7 @@ def changed(scenario: Scenario, name: str, step: float | None) -> Scenario:
     Raises:
         InputError: the step does not divide the period of scenes, or the background is a recording.
     """
-    if not isinstance(scenario.background, Simulated):
+    if not isinstance(scenario.background, SimulatedTraffic):
         raise InputError(
             f"{name}: got a scenario whose background is a recording; cut its scenes with `gri ngsim scenes`"
         )

@@ -101,9 +101,9 @@ def calibrate(
 
 
 def _simulated(scenario: "Scenario", name: str) -> "Scenario":
-    from cosim.spec.scenario import Simulated
+    from cosim.spec.scenario import SimulatedTraffic
 
-    if not isinstance(scenario.background, Simulated):
+    if not isinstance(scenario.background, SimulatedTraffic):
         raise InputError(f"{name}: got a scenario whose background is a recording, which has no demand; choose another")
     return scenario
 

@@ -34,7 +34,7 @@ def driver_of(scenario: spec.Scenario, own: Policy | None = None) -> Driver | No
 
 def _name(policy: spec.Driver) -> str:
     """The kind of policy; for a checkpoint, the objective it was trained with."""
-    if isinstance(policy, spec.Trained):
+    if isinstance(policy, spec.TrainedPolicy):
         return checkpoint.objective(checkpoint_path(policy.checkpoint))
     return spec.tag_of(policy)
 
@@ -54,12 +54,12 @@ def policy_of(scenario: spec.Scenario) -> Policy | None:
             policy: Policy = model if in_lane else MergingDriver(model)
         case spec.ConstantVelocity():
             policy = ConstantVelocity(scenario.step, POINT_MASS_1D if in_lane else DUBINS)
-        case spec.Trained(checkpoint=name):
+        case spec.TrainedPolicy(checkpoint=name):
             path = checkpoint_path(name)
             model = checkpoint.load(path)
             _check_vocabulary(model, scenario.group, path)
             policy = model
-        case spec.Own() as own:
+        case spec.UserPolicy() as own:
             policy = own_policy(own, scenario.step)
     check_fit(policy, scenario)
     return policy

@@ -14,7 +14,7 @@ from cosim.runs.run_folder import next_folder, run_folder
 from cosim.runs.run_tables import read_tables
 from cosim.runs.summary import summary
 from cosim.runs.user_policy import missing_attributes
-from cosim.spec.loading import load_scenario, override, replaying
+from cosim.spec.loading import load_scenario, override, with_recording
 from cosim.spec.scenario import Scenario, tag_of
 from gri.errors import InputError
 from gri.resources import checkpoints
@@ -120,7 +120,7 @@ def run(
     changes = {"seed": seed, "episodes": episodes, "policy": spec, **(overrides or {})}
     chosen = override(chosen, {name: value for name, value in changes.items() if value is not None})
     if recording is not None:
-        chosen = replaying(chosen, Path(recording))
+        chosen = with_recording(chosen, Path(recording))
     name = chosen.net if isinstance(scenario, Scenario) else Path(scenario).stem
     place = Path(folder) if folder else next_folder(Path("runs"), f"{name}-{tag_of(chosen.policy)}-seed{chosen.seed}")
     with run_folder(place) as partial:

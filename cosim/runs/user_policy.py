@@ -9,13 +9,13 @@ from types import ModuleType
 from typing import Any
 
 from cosim.spec.input_files import source_path
-from cosim.spec.scenario import Own
+from cosim.spec.scenario import UserPolicy
 from gri.errors import InputError
 
 WANTED = ("dynamics", "dt", "history_steps", "begin", "act")  # of gri.core.policy.Policy
 
 
-def own_policy(choice: Own, dt: float) -> Any:
+def own_policy(choice: UserPolicy, dt: float) -> Any:
     """Make the policy that acts every `dt` [s]; an InputError says what its file lacks or why it failed."""
     place, _, name = choice.object.rpartition(":")
     path = source_path(choice)

@@ -18,6 +18,7 @@ from cosim.show.animation import script_of
 from cosim.show.episode_view import episode_view
 from cosim.show.templates import page
 from cosim.show.worst_episodes import worst_episodes
+from cosim.spec.perturbations import KINDS
 
 SHOWN_EPISODES = 6
 CURVES = ("success", "contact", "short_ttc", "min_gap")
@@ -67,11 +68,8 @@ def _perturbations(groups: pd.DataFrame) -> list[str]:
 
 def _unit(name: str, manifest: dict[str, Any]) -> str:
     """Unit of the intensity of a perturbation; "" if it has none."""
-    from cosim.spec import perturbations
-
     kind = manifest["batch"]["perturbations"][name]["kind"]
-    known = {cls.__struct_config__.tag: cls for cls in perturbations.Spec.__subclasses__()}
-    return known[kind].unit if kind in known else ""
+    return KINDS[kind].unit if kind in KINDS else ""
 
 
 def _labels(row: pd.Series, names: list[str]) -> list[str]:

@@ -17,7 +17,7 @@ from torch import Tensor
 
 from cosim.show.episode_view import EpisodeView, InferredEdge
 from cosim.spec.input_files import checkpoint_path
-from cosim.spec.scenario import CarFollowing, Scenario, Trained
+from cosim.spec.scenario import CarFollowing, Scenario, TrainedPolicy
 from cosim.world.road_frame import model_offsets
 from gri import checkpoint
 from gri.core.dynamics import DUBINS, POINT_MASS_1D
@@ -62,7 +62,7 @@ def explanation(view: EpisodeView, run: Path) -> str:
     """The inferred graph, the drive and the largest reward terms of one episode, as text. `run` is the run folder."""
     scenario = msgspec.json.decode((run / "scenario.json").read_bytes(), type=Scenario)
     reward = None
-    if isinstance(scenario.policy, Trained):
+    if isinstance(scenario.policy, TrainedPolicy):
         reward = checkpoint.load_reward(checkpoint_path(scenario.policy.checkpoint))
     lines = [_headline(view), "", *_graph(view)]
     for role in range(2):

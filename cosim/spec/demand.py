@@ -1,4 +1,4 @@
-"""The traffic of a scenario: who drives, how many, and what slows them down downstream. Read from YAML."""
+"""The traffic of a scenario: vehicle classes, flows, and a downstream bottleneck. Read from YAML."""
 
 from typing import Annotated, Literal
 
@@ -12,11 +12,11 @@ Name = Annotated[str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_.\-]*$")]
 
 
 class Spec(Struct, frozen=True, forbid_unknown_fields=True):
-    """Base of everything that is read from YAML."""
+    """Base of all types that are read from YAML; unknown fields are errors."""
 
 
 class LaneChanging(Spec, frozen=True, kw_only=True):
-    """SUMO's lane-change model LC2013 (SUMO doc: Definition of Vehicles, Lane-Changing Models)."""
+    """Parameters of SUMO's lane-change model LC2013 (SUMO doc: Definition of Vehicles, Lane-Changing Models)."""
 
     strategic: NonNegative = 1.0
     cooperative: Share = 1.0
@@ -26,10 +26,11 @@ class LaneChanging(Spec, frozen=True, kw_only=True):
 
 
 class VehicleClass(Spec, frozen=True, kw_only=True):
-    """A population of drivers and vehicles; `variants` types are drawn from it (SUMO doc: Vehicle Types).
+    """A population of vehicles and drivers, from which `variants` vehicle types are drawn (SUMO doc: Vehicle Types).
 
-    Lengths in m, accelerations in m/s², `tau` the desired time headway in s. `tau_cv` is the coefficient of variation
-    of a log-normal, the other `_sd` are standard deviations of normals cut off at two of them.
+    Lengths and gaps in m, accelerations in m/s²; `tau` is the desired time headway [s]. `tau_cv` is the coefficient of
+    variation of its log-normal distribution. Each `_sd` is the standard deviation of a normal distribution that is cut
+    off at two standard deviations.
     """
 
     name: Name
@@ -53,7 +54,11 @@ class VehicleClass(Spec, frozen=True, kw_only=True):
 
 
 class Flow(Spec, frozen=True, kw_only=True):
-    """Vehicles on one route. `per_hour` holds one rate per demand interval; the last one lasts for ever."""
+    """Vehicles on one route of `edges`.
+
+    `per_hour` [veh/h] has one rate per demand interval; the last one continues. `classes` has the share of each vehicle
+    class; vehicles enter on `lanes`, counted from 0 on the right.
+    """
 
     name: Name
     edges: Annotated[tuple[str, ...], Meta(min_length=1)]
@@ -63,17 +68,21 @@ class Flow(Spec, frozen=True, kw_only=True):
 
 
 class Bottleneck(Spec, frozen=True, kw_only=True):
-    """The downstream cause of congestion: speed limits [m/s] of some lanes, one per demand interval; the last lasts."""
+    """The downstream cause of congestion: speed limits [m/s] of some lanes, one per demand interval.
+
+    The last limit continues.
+    """
 
     lanes: Annotated[tuple[str, ...], Meta(min_length=1)]
     limits: Annotated[tuple[Positive, ...], Meta(min_length=1)]
 
 
 class Targets(Spec, frozen=True, kw_only=True):
-    """What was recorded in the study area, to compare simulated traffic with. Tolerances are relative.
+    """Recorded statistics of the study area, to compare simulated traffic with. Tolerances are relative.
 
-    `mean_speed` [m/s] is a mean over vehicles and time. `mainline` [veh/h] enter on the main road, one rate per demand
-    interval after the warm-up, the last one lasts; `ramp_share` is the share of all vehicles that enter elsewhere.
+    `mean_speed` [m/s] is the mean over vehicles and time. `mainline` [veh/h] is the flow that enters on the main road,
+    one rate per demand interval after the warm-up; the last one continues. `ramp_share` is the share of all vehicles
+    that enter elsewhere.
     """
 
     mean_speed: Positive
@@ -84,7 +93,7 @@ class Targets(Spec, frozen=True, kw_only=True):
 
 
 class Traffic(Spec, frozen=True, kw_only=True):
-    """Demand, drivers, and the downstream cause of congestion."""
+    """Demand, drivers and bottleneck. `warm_up` [s] comes first; a demand interval lasts `interval` [s]."""
 
     warm_up: NonNegative
     interval: Positive = 300.0

@@ -1,18 +1,18 @@
-"""The files a scenario names: net, checkpoint, policy; found and hashed without importing torch or SUMO."""
+"""The input files of a scenario (net, checkpoint, policy, recording), found and hashed without torch or SUMO."""
 
 import hashlib
 from importlib.util import find_spec
 from pathlib import Path
 from xml.etree import ElementTree
 
-from cosim.spec.scenario import Own, Replay, Scenario, Trained
+from cosim.spec.scenario import Replay, Scenario, TrainedPolicy, UserPolicy
 from gri.errors import InputError
 from gri.resources import checkpoint as released
 from gri.resources import checkpoints, shipped
 
 
 def find_net(name: str) -> Path:
-    """The built net of that name (shipped in `sumo_nets/`) or path; checked to be whole XML of the right kind."""
+    """The net file of that name (shipped in `sumo_nets/`) or path. Raises `InputError` if it is not a SUMO net."""
     path = next((p for p in (Path(name), shipped("sumo_nets", name, f"{name}.net.xml")) if p.is_file()), None)
     if path is None:
         known = ", ".join(sorted(p.parent.name for p in shipped("sumo_nets").glob("*/*.net.xml")))
@@ -27,11 +27,11 @@ def find_net(name: str) -> Path:
 
 
 def input_files(scenario: Scenario) -> dict[str, Path]:
-    """Every file besides the scenario itself that a run depends on: its net, checkpoint, policy's source, recording."""
+    """Every input file of a run besides the scenario: net, checkpoint, source file of the policy, recording."""
     files = {"net": find_net(scenario.net)}
-    if isinstance(scenario.policy, Trained):
+    if isinstance(scenario.policy, TrainedPolicy):
         files["checkpoint"] = checkpoint_path(scenario.policy.checkpoint)
-    if isinstance(scenario.policy, Own):
+    if isinstance(scenario.policy, UserPolicy):
         files["policy"] = source_path(scenario.policy)
     if isinstance(scenario.background, Replay):
         files["recording"] = recording_path(scenario.background)
@@ -39,17 +39,19 @@ def input_files(scenario: Scenario) -> dict[str, Path]:
 
 
 def recording_path(background: Replay) -> Path:
-    """The file that a background replays."""
+    """The NGSIM file that a background replays. Raises `InputError` if there is none."""
     if not background.recording:
-        raise InputError("background.recording: no recording is named; give one with --recording FILE")
+        raise InputError("background.recording: the scenario names no recording; give one with --recording FILE")
     path = Path(background.recording)
     if not path.is_file():
-        raise InputError(f"background.recording: no file {path}, seen from {Path.cwd()}; give an NGSIM trajectory file")
+        raise InputError(
+            f"background.recording: no file {path} (looked in {Path.cwd()}); give an NGSIM trajectory file"
+        )
     return path
 
 
-def source_path(policy: Own) -> Path:
-    """The Python file that an own policy stands in."""
+def source_path(policy: UserPolicy) -> Path:
+    """The Python file of a user's policy. Raises `InputError` if there is none."""
     place = policy.object.rpartition(":")[0]
     if place.endswith(".py"):
         path = Path(place)
@@ -64,12 +66,12 @@ def source_path(policy: Own) -> Path:
             )
         path = Path(found.origin)
     if not path.is_file():
-        raise InputError(f"policy.object: no file {place!r}, seen from {Path.cwd()}; give the path of a Python file")
+        raise InputError(f"policy.object: no file {place!r} (looked in {Path.cwd()}); give the path of a Python file")
     return path
 
 
 def checkpoint_path(name: str) -> Path:
-    """The file of a checkpoint given by path or by the name of a released one."""
+    """The file of a checkpoint, by path or by the name of a released one. Raises `InputError` if there is none."""
     for path in (Path(name), released(name)):
         if path.is_file():
             return path

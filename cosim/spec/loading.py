@@ -1,4 +1,4 @@
-"""From names, files and options to a checked scenario."""
+"""Reading and checking scenarios, by name or path and with changes from options."""
 
 import difflib
 from pathlib import Path
@@ -14,40 +14,43 @@ from gri.resources import shipped
 
 
 def load_scenario(name: str, beside: Path | None = None) -> Scenario:
-    """The scenario of that name (shipped in `scenarios/`) or path; paths may be relative to the file `beside`."""
-    path = find(name, "scenarios", "scenario", beside)
+    """The scenario of that name (shipped in `scenarios/`) or path; a path may be relative to the folder of `beside`.
+
+    Raises `InputError` with file, line and field of a mistake.
+    """
+    path = find_file(name, "scenarios", "scenario", beside)
     content = parsed(path)
     if isinstance(content, dict) and isinstance(content.get("traffic"), str):
-        content["traffic"] = traffic_of(content["traffic"], beside=path)
+        content["traffic"] = traffic_content(content["traffic"], beside=path)
     return typed(content, Scenario, path)
 
 
-def traffic_of(name: str, beside: Path) -> dict[str, Any]:
-    """The content of a traffic file: of that name (shipped in `scenarios/traffic/`) or path."""
-    return msgspec.to_builtins(read_yaml(find(name, "scenarios/traffic", "traffic", beside), Traffic))
+def traffic_content(name: str, beside: Path) -> dict[str, Any]:
+    """The content of the traffic file of that name (shipped in `scenarios/traffic/`) or path, checked."""
+    return msgspec.to_builtins(read_yaml(find_file(name, "scenarios/traffic", "traffic", beside), Traffic))
 
 
-def names_of(folder: str) -> list[str]:
-    """Names of the YAML files that come with the project in a folder."""
+def shipped_names(folder: str) -> list[str]:
+    """Names of the shipped YAML files in a folder of the project, such as "scenarios"."""
     return sorted(path.stem for path in shipped(folder).glob("*.yaml"))
 
 
-def find(name: str, folder: str, what: str, beside: Path | None = None) -> Path:
-    """The file a person means by a name or a path; an InputError says what there is."""
+def find_file(name: str, folder: str, what: str, beside: Path | None = None) -> Path:
+    """The YAML file of that path or shipped name. Raises `InputError` if there is none; `what` names its type there."""
     candidates = [Path(name), shipped(folder, f"{name}.yaml")]
     if beside is not None:
         candidates.insert(0, beside.parent / name)
     for path in candidates:
         if path.is_file():
             return path
-    known = names_of(folder)
+    known = shipped_names(folder)
     close = difflib.get_close_matches(name, known, n=1)
     hint = f"did you mean {close[0]!r}?" if close else f"the shipped ones are {', '.join(known) or '(none)'}"
     raise InputError(f"unknown {what} {name!r}: expected the path of a YAML file or a shipped name; {hint}")
 
 
 def override(scenario: Scenario, changes: dict[str, Any]) -> Scenario:
-    """The scenario with top-level fields replaced, checked like a file."""
+    """The scenario with some top-level fields replaced, checked like a file. Raises `InputError` for a wrong value."""
     content = {**msgspec.to_builtins(scenario), **changes}
     try:
         return msgspec.convert(content, Scenario)
@@ -56,10 +59,10 @@ def override(scenario: Scenario, changes: dict[str, Any]) -> Scenario:
         raise InputError(f"--{location.rstrip('`').split('.')[0]}: {problem}") from None
 
 
-def replaying(scenario: Scenario, recording: Path) -> Scenario:
-    """The scenario with another recording to replay."""
+def with_recording(scenario: Scenario, recording: Path) -> Scenario:
+    """The scenario with this recording as background. Raises `InputError` if its background is simulated."""
     if not isinstance(scenario.background, Replay):
         raise InputError(
-            "--recording: this scenario's background is simulated; give one with background: {kind: replay}"
+            "--recording: the background of this scenario is simulated; choose one with background: {kind: replay}"
         )
     return override(scenario, {"background": {**msgspec.to_builtins(scenario.background), "recording": str(recording)}})

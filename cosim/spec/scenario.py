@@ -1,8 +1,8 @@
 """Scenario: the frozen, typed specification of one closed-loop experiment.
 
-A scenario is a YAML file. `cosim.spec.loading` checks it whole before anything runs: unknown keys, wrong types and
-values out of range are errors that name the file, the line and the field. `json_schema` is the same specification for
-editors.
+A scenario is a YAML file. `cosim.spec.loading` checks the whole file before anything runs: unknown keys, wrong types
+and values out of range are errors that name the file, the line and the field. `json_schema` is the same specification
+for editors.
 """
 
 from typing import Annotated, Any, Literal
@@ -17,7 +17,7 @@ Seed = Annotated[int, Meta(ge=0, lt=2**31)]
 
 
 class Road(Spec, frozen=True, kw_only=True):
-    """The main road as a chain of edges; s = 0 where the edge `origin` begins, the study area is `length` [m] long."""
+    """The main road as a chain of edges. s = 0 is where edge `origin` begins; the study area is `length` [m] long."""
 
     edges: Annotated[tuple[str, ...], Meta(min_length=1)]
     origin: str
@@ -29,10 +29,11 @@ class Road(Spec, frozen=True, kw_only=True):
 
 
 class CarFollowing(Spec, frozen=True, kw_only=True, tag_field="rule", tag="car_following"):
-    """Vehicle 0 right behind 1, right behind 2, in one lane all through the history (net gaps in m, time gaps in s).
+    """Vehicle 0 directly behind 1, and 1 directly behind 2, in one lane during the whole history.
 
-    Gaps count at the end of the history, speed differences [m/s] between neighbours all through it: a vehicle that is
-    still catching up, say from a ramp, does not follow yet.
+    Net gaps [m], time gaps [s] and speeds [m/s] are limited at the end of the history. Speed differences [m/s] between
+    follower and leader are limited during the whole history, because a vehicle that still catches up, for example from
+    a ramp, does not follow yet.
     """
 
     min_gap: NonNegative = 2.0
@@ -45,9 +46,10 @@ class CarFollowing(Spec, frozen=True, kw_only=True, tag_field="rule", tag="car_f
 class Merge(Spec, frozen=True, kw_only=True, tag_field="rule", tag="merge"):
     """Vehicle 0 on a lane that ends, between the lag vehicle 1 and the leader 2 in the lane to its left.
 
-    `lane` is the id of 0's lane, `zone` the range of s [m] in which the group is taken, gaps are net gaps to 0 and
-    speed differences [m/s] are from 0 to the others, both at the end of the history, through which 1 and 2 kept their
-    lane. The merge is done when 0 was inside the target lane for `settle` [s].
+    `lane` is the id of the lane that ends, and `zone` is the range of s [m] in which the group is taken over. Net gaps
+    [m], speeds [m/s] and speed differences [m/s] of vehicles 1 and 2 to vehicle 0 are limited at the end of the
+    history, during which 1 and 2 keep their lane. The merge is complete once vehicle 0 was in the target lane for
+    `settle` [s].
     """
 
     lane: str
@@ -68,8 +70,8 @@ class Merge(Spec, frozen=True, kw_only=True, tag_field="rule", tag="merge"):
 GroupRule = CarFollowing | Merge
 
 
-class Trained(Spec, frozen=True, kw_only=True, tag_field="kind", tag="gri"):
-    """A trained checkpoint: the name of a released one, or a path."""
+class TrainedPolicy(Spec, frozen=True, kw_only=True, tag_field="kind", tag="gri"):
+    """A trained policy: the name of a released checkpoint, or the path of one."""
 
     checkpoint: str
 
@@ -79,33 +81,34 @@ class Idm(Spec, frozen=True, kw_only=True, tag_field="kind", tag="idm"):
 
 
 class ConstantVelocity(Spec, frozen=True, kw_only=True, tag_field="kind", tag="constant_velocity"):
-    """Keeps the speed it has."""
+    """Drives on with the speed at the take-over."""
 
 
 class LeftToSumo(Spec, frozen=True, kw_only=True, tag_field="kind", tag="sumo"):
-    """Nobody takes the group over: the null run."""
+    """No take-over: SUMO drives the group (null run)."""
 
 
-class Own(Spec, frozen=True, kw_only=True, tag_field="kind", tag="python"):
-    """An own policy: `object` is "file.py:Name" or "package.module:Name", called with dt [s] and the `settings`.
+class UserPolicy(Spec, frozen=True, kw_only=True, tag_field="kind", tag="python"):
+    """A policy of the user: `object` is "file.py:Name" or "package.module:Name".
 
-    What the call returns must be a `gri.core.policy.Policy`; docs/tutorial.md writes one.
+    It is called with the time step dt [s] and the `settings`, and must return a `gri.core.policy.Policy`.
+    docs/tutorial.md has an example.
     """
 
     object: Annotated[str, Meta(pattern=r"^[^:]+:[A-Za-z_][A-Za-z0-9_]*$")]
     settings: dict[str, Any] = field(default_factory=dict)
 
 
-class Simulated(Spec, frozen=True, kw_only=True, tag_field="kind", tag="sumo"):
-    """SUMO's drivers, as `traffic` describes them."""
+class SimulatedTraffic(Spec, frozen=True, kw_only=True, tag_field="kind", tag="sumo"):
+    """SUMO simulates all other vehicles, as `traffic` describes them."""
 
 
 class Replay(Spec, frozen=True, kw_only=True, tag_field="kind", tag="replay"):
-    """The vehicles of an NGSIM file move as they were recorded; of `traffic` only routes and drivers count.
+    """The vehicles of an NGSIM file move as recorded; only routes and drivers of `traffic` are used.
 
-    The road's s = 0 is at Local_Y = −`entry` [m], its reference line at Local_X = `lane_1` [m], which is the centre of
-    the leftmost lane. A vehicle that is first seen in a lane (NGSIM's number) named in `flows` gets the route and class
-    of that flow, any other those of the first flow; they count once a vehicle was driven and handed back.
+    s = 0 of the road is at Local_Y = −`entry` [m]. Its reference line is at Local_X = `lane_1` [m], the centre of the
+    leftmost lane. `flows` maps a lane (NGSIM's number) to a flow: a vehicle that is first recorded in this lane gets
+    the route and class of the flow, any other vehicle those of the first flow. SUMO uses them after the hand-back.
     """
 
     recording: str = ""
@@ -114,52 +117,55 @@ class Replay(Spec, frozen=True, kw_only=True, tag_field="kind", tag="replay"):
     flows: dict[int, str] = field(default_factory=dict)
 
 
-Background = Simulated | Replay
+Background = SimulatedTraffic | Replay
 
 
 class Inferred(Spec, frozen=True, kw_only=True, tag_field="source", tag="inferred"):
-    """The graph the policy infers from what it saw."""
+    """The graph that the policy infers from its observations."""
 
 
 class GroundTruth(Spec, frozen=True, kw_only=True, tag_field="source", tag="ground_truth"):
-    """The relations that the group rule's own definition implies, and none between all other pairs."""
+    """The relations that the definition of the group rule implies; all other pairs have none."""
 
 
 class Enforced(Spec, frozen=True, kw_only=True, tag_field="source", tag="enforced"):
-    """What a person says: `edges` maps "1->0" (the effect of 1 on 0) to none, follow, yield or cut_in.
+    """A given graph: `edges` maps a pair such as "1->0" (the effect of 1 on 0) to none, follow, yield or cut_in.
 
-    All other pairs are as the policy infers them, or none.
+    `others` says whether all other pairs are inferred by the policy, or none.
     """
 
     edges: dict[Annotated[str, Meta(pattern=r"^[012]->[012]$")], Literal["none", "follow", "yield", "cut_in"]]
     others: Literal["inferred", "none"] = "inferred"
 
     def __post_init__(self) -> None:
-        if selfish := [pair for pair in self.edges if pair[0] == pair[-1]]:
-            raise ValueError(f"edges has {selfish[0]!r}, expected two different vehicles, such as '1->0'")
+        if loops := [pair for pair in self.edges if pair[0] == pair[-1]]:
+            raise ValueError(f"edges has {loops[0]!r}, expected two different vehicles, such as '1->0'")
 
 
 GraphSource = Inferred | GroundTruth | Enforced
-Driver = Trained | Idm | ConstantVelocity | LeftToSumo | Own
+Driver = TrainedPolicy | Idm | ConstantVelocity | LeftToSumo | UserPolicy
 
 
 def tag_of(choice: GroupRule | Driver) -> str:
-    """The word that stands for a group rule or a driver in YAML, tables and file names."""
+    """The name of a group rule or a policy in YAML, tables and file names."""
     return str(choice.__struct_config__.tag)
 
 
 class Scenario(Spec, frozen=True, kw_only=True):
     """One closed-loop experiment. Durations in s; `traffic` may be the name or path of a traffic file.
 
-    `driven` are the roles that the policy drives, the others stay SUMO's; `graph` says under which graph, inferred
-    once at the take-over, and again every `reinfer_s` from the latest states where that is not 0.
+    The policy drives the roles in `driven`; SUMO drives the others. `graph` is the source of the graph. It is inferred
+    at the take-over, and again every `reinfer_s` from the latest states if this is not 0. A simulation step lasts
+    `step`, and the history before the take-over `history`. The policy drives for up to `horizon`; then the group is
+    observed for `watch`, and the next groups are taken over after a further `rest`. A run ends after `episodes` groups,
+    of which at most `groups_at_once` are driven at the same time, or `time_limit` after the warm-up.
     """
 
     description: str = ""
     net: str
     road: Road
     traffic: Traffic
-    background: Background = field(default_factory=Simulated)
+    background: Background = field(default_factory=SimulatedTraffic)
     group: GroupRule
     policy: Driver
     graph: GraphSource = field(default_factory=Inferred)
@@ -190,7 +196,7 @@ class Scenario(Spec, frozen=True, kw_only=True):
 
 
 def json_schema() -> dict[str, Any]:
-    """JSON Schema of a scenario file, for editors and for people."""
+    """JSON Schema of a scenario file, for editors."""
     schema = msgspec.json.schema(Scenario)
     properties = schema["$defs"]["Scenario"]["properties"]
     properties["traffic"] = {

@@ -17,7 +17,7 @@ from cosim.perturb.traffic_demand import perturbed_traffic
 from cosim.spec.input_files import checkpoint_path, find_net, sha256
 from cosim.spec.loading import override
 from cosim.spec.perturbations import KINDS, AggressiveDrivers, DenserDemand, LowFriction, MoreTrucks
-from cosim.spec.scenario import CarFollowing, ConstantVelocity, Driver, Idm, LeftToSumo, Scenario, Trained
+from cosim.spec.scenario import CarFollowing, ConstantVelocity, Driver, Idm, LeftToSumo, Scenario, TrainedPolicy
 from gri.errors import InputError
 
 FORMAT = 3  # of the rows of a chunk; with a new number every chunk is computed again
@@ -54,7 +54,7 @@ class Chunk(Struct, frozen=True):
     @property
     def key(self) -> str:
         """Hash of everything on which the rows of the chunk depend."""
-        used = {name: driver.checkpoint for name, driver in self.policies.items() if isinstance(driver, Trained)}
+        used = {name: driver.checkpoint for name, driver in self.policies.items() if isinstance(driver, TrainedPolicy)}
         facts = {
             "format": FORMAT,
             "chunk": msgspec.to_builtins(replace(self, scenario=replace(self.scenario, description=""))),
@@ -130,7 +130,7 @@ def sweeps_of(kinds: Sequence[str], intensities: Sequence[float], scenario: Scen
         raise InputError(
             f"--intensity: got {len(kinds)} kinds of perturbation, whose intensities differ in scale; give one kind"
         )
-    return {kind: tuple(intensities) or own.get(kind, KINDS[kind].grades) for kind in kinds}
+    return {kind: tuple(intensities) or own.get(kind, KINDS[kind].default_intensities) for kind in kinds}
 
 
 def policies_of(names: Sequence[str], scenario: Scenario) -> dict[str, Driver]:
@@ -145,13 +145,13 @@ def policies_of(names: Sequence[str], scenario: Scenario) -> dict[str, Driver]:
             found[name] = BASELINES[name]
             continue
         candidates = [name]
-        if isinstance(scenario.policy, Trained):
+        if isinstance(scenario.policy, TrainedPolicy):
             own = scenario.policy.checkpoint
             candidates.append(own if name == "gri" else f"{own}_{name}")
         known = [candidate for candidate in candidates if _exists(candidate)]
         checkpoint = known[0] if known else name
         checkpoint_path(checkpoint)  # raises if there is no such checkpoint
-        found[name.removesuffix(".pt").rpartition("/")[2]] = Trained(checkpoint=checkpoint)
+        found[name.removesuffix(".pt").rpartition("/")[2]] = TrainedPolicy(checkpoint=checkpoint)
     if len(found) < len(names):
         raise InputError(f"--policy: got {', '.join(names)}, expected each policy once, by different names")
     return found

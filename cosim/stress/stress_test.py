@@ -17,7 +17,7 @@ import pandas as pd
 
 from cosim.process.worker_process import run_in_worker
 from cosim.spec.input_files import checkpoint_path, find_net, sha256
-from cosim.spec.scenario import Merge, Trained
+from cosim.spec.scenario import Merge, TrainedPolicy
 from cosim.stress import estimates, figures
 from cosim.stress.plan import NOMINAL, PACKAGES, Chunk
 from cosim.stress.report import stress_report
@@ -112,7 +112,7 @@ def publish(chunks: Sequence[Chunk], rows: pd.DataFrame, folder: Path, facts: di
 
 def provenance(chunks: Sequence[Chunk]) -> dict[str, Any]:
     """Everything that is needed to compute the same rows again."""
-    trained = {name: driver for name, driver in chunks[0].policies.items() if isinstance(driver, Trained)}
+    trained = {name: driver for name, driver in chunks[0].policies.items() if isinstance(driver, TrainedPolicy)}
     return {
         "seeds": sorted({chunk.scenario.seed for chunk in chunks}),
         "scenario": msgspec.to_builtins(chunks[0].scenario),

@@ -8,8 +8,8 @@ import pytest
 import yaml
 
 from cosim.batch.run_matrix import expand, key_of, load_batch
-from cosim.spec.loading import names_of
-from cosim.spec.scenario import ConstantVelocity, Idm, Trained
+from cosim.spec.loading import shipped_names
+from cosim.spec.scenario import ConstantVelocity, Idm, TrainedPolicy
 from gri.errors import InputError
 
 GOOD = """\
@@ -56,7 +56,7 @@ def test_every_run_is_one_concrete_scenario(tmp_path):
     for run in runs_of(tmp_path, GOOD):
         scenario, cell = run.scenario, run.cell
         assert scenario.seed == cell.seed
-        assert isinstance(scenario.policy, {"gri": Trained, "idm": Idm}[cell.policy])
+        assert isinstance(scenario.policy, {"gri": TrainedPolicy, "idm": Idm}[cell.policy])
         assert scenario.horizon == 4.0
         assert scenario.traffic.warm_up == 30
         assert scenario.traffic.vehicles, "the rest of the traffic stays"
@@ -143,6 +143,6 @@ def test_nothing_left_to_run(tmp_path):
         runs_of(tmp_path, "scenarios: [us101_car_following]\nexclude: [{policy: gri}]\n")
 
 
-@pytest.mark.parametrize("name", names_of("scenarios/batch"))
+@pytest.mark.parametrize("name", shipped_names("scenarios/batch"))
 def test_every_shipped_batch_expands(name):
     assert expand(*load_batch(name))

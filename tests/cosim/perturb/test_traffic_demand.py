@@ -69,7 +69,7 @@ def test_what_happens_at_the_take_over_leaves_the_traffic_alone(scenario):
 
 @pytest.mark.parametrize("kind", ["denser_demand", "more_trucks", "aggressive_drivers", "low_friction"])
 def test_perturbed_traffic_is_a_valid_scenario_and_makes_routes(scenario, kind):
-    for intensity in KINDS[kind].grades:
+    for intensity in KINDS[kind].default_intensities:
         block = {"kind": kind, "intensity": intensity}
         changed = perturbed_traffic(override(scenario, {"perturbations": [block]}))
         checked = msgspec.convert(msgspec.to_builtins(changed), Scenario)
@@ -78,7 +78,7 @@ def test_perturbed_traffic_is_a_valid_scenario_and_makes_routes(scenario, kind):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_is_read_from_its_block(scenario, kind):
-    for intensity in KINDS[kind].grades:
+    for intensity in KINDS[kind].default_intensities:
         found = override(scenario, {"perturbations": [{"kind": kind, "intensity": intensity}]}).perturbations
         assert found == (KINDS[kind](intensity=intensity),)
         assert found[0].kind == kind

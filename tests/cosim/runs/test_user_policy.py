@@ -79,7 +79,7 @@ def test_a_module_that_is_installed(scenario):
 @pytest.mark.parametrize(
     ("name", "settings", "message"),
     [
-        ("nobody.py:TimeGap", {}, "no file 'nobody.py', seen from"),
+        ("nobody.py:TimeGap", {}, r"no file 'nobody.py' \(looked in"),
         ("nobody:TimeGap", {}, "no module 'nobody' is installed; for a file of your own"),
         ("nobody.at_all:TimeGap", {}, "no module 'nobody.at_all' is installed"),
         ("mine.py:Timegap", {}, "mine.py has no class or function 'Timegap'"),

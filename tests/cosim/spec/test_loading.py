@@ -7,7 +7,7 @@ import msgspec
 import pytest
 import yaml
 
-from cosim.spec.loading import load_scenario, names_of, override
+from cosim.spec.loading import load_scenario, override, shipped_names
 from cosim.spec.scenario import CarFollowing, Scenario, json_schema
 from gri.errors import InputError
 from gri.resources import shipped
@@ -29,7 +29,7 @@ def scenario_file(tmp_path):
     return write
 
 
-@pytest.mark.parametrize("name", names_of("scenarios"))
+@pytest.mark.parametrize("name", shipped_names("scenarios"))
 def test_every_shipped_scenario_loads(name):
     assert isinstance(load_scenario(name), Scenario)
 

@@ -5,7 +5,7 @@ from msgspec.structs import replace
 
 from cosim.spec.loading import load_scenario
 from cosim.spec.perturbations import KINDS, HeadwayRatio
-from cosim.spec.scenario import ConstantVelocity, Idm, LeftToSumo, Trained
+from cosim.spec.scenario import ConstantVelocity, Idm, LeftToSumo, TrainedPolicy
 from cosim.stress.plan import Cell, chunks, perturbed_scenario, policies_of, sweeps_of
 from gri.errors import InputError
 from gri.resources import checkpoint
@@ -77,8 +77,8 @@ def test_intensities_out_of_range_are_refused_before_anything_runs(scenario):
 def test_default_intensities(scenario):
     found = sweeps_of(["headway_ratio", "latency"], [], scenario)
     assert max(found["headway_ratio"]) < 1  # in one lane
-    assert found["latency"] == KINDS["latency"].grades
-    assert all(len(kind.grades) == 5 for kind in KINDS.values())
+    assert found["latency"] == KINDS["latency"].default_intensities
+    assert all(len(kind.default_intensities) == 5 for kind in KINDS.values())
     assert sweeps_of(["latency"], [0.3], scenario) == {"latency": (0.3,)}
 
 
@@ -92,11 +92,11 @@ def test_bad_perturbations(scenario, kinds, intensities, message):
 
 def test_names_of_policies(scenario):
     found = policies_of(["gri", "supervised", "idm", "sumo"], scenario)
-    assert found["gri"] == Trained(checkpoint="us101_car_following")
-    assert found["supervised"] == Trained(checkpoint="us101_car_following_supervised")
+    assert found["gri"] == TrainedPolicy(checkpoint="us101_car_following")
+    assert found["supervised"] == TrainedPolicy(checkpoint="us101_car_following_supervised")
     assert found["idm"] == Idm()
     path = str(checkpoint("us101_car_following_supervised"))
-    assert policies_of([path], scenario) == {"us101_car_following_supervised": Trained(checkpoint=path)}
+    assert policies_of([path], scenario) == {"us101_car_following_supervised": TrainedPolicy(checkpoint=path)}
 
 
 def test_bad_policies(scenario):

@@ -12,7 +12,7 @@ from cosim.loop.closed_loop import Files, prepared, simulation
 from cosim.process.fork import CAN_FORK
 from cosim.runs.run_tables import steps_table
 from cosim.runs.traffic_survey import survey
-from cosim.spec.loading import load_scenario, override, replaying
+from cosim.spec.loading import load_scenario, override, with_recording
 from cosim.spec.scenario import CarFollowing
 from cosim.traffic.replay import tracks_of
 from cosim.traffic.route_file import route_file
@@ -56,7 +56,7 @@ def recording(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="module")
 def scenario(recording):
-    chosen = replaying(load_scenario("us101_replay"), recording)
+    chosen = with_recording(load_scenario("us101_replay"), recording)
     rule = CarFollowing(max_time_gap=4.0)
     return replace(chosen, group=rule, history=3.0, horizon=3.0, watch=1.0, episodes=1)
 
@@ -147,13 +147,13 @@ def test_bad_recordings_are_refused(scenario, recording, tmp_path):
     with pytest.raises(InputError, match="give one with --recording"):
         tracks_of(load_scenario("us101_replay").background, 0.2)
     with pytest.raises(InputError, match="no file"):
-        tracks_of(replaying(scenario, tmp_path / "none.csv").background, 0.2)
+        tracks_of(with_recording(scenario, tmp_path / "none.csv").background, 0.2)
     with pytest.raises(InputError, match="is simulated"):
-        replaying(load_scenario("us101_car_following"), recording)
+        with_recording(load_scenario("us101_car_following"), recording)
     flat = pd.read_csv(recording).assign(Local_X=0.0)
     flat.to_csv(tmp_path / "us-101.csv", index=False)
     with pytest.raises(InputError, match="no lateral positions"):
-        tracks_of(replaying(scenario, tmp_path / "us-101.csv").background, 0.2)
+        tracks_of(with_recording(scenario, tmp_path / "us-101.csv").background, 0.2)
 
 
 def test_an_unknown_flow_is_refused(scenario, simulate):
@@ -168,7 +168,7 @@ REAL = Path(os.environ.get("NGSIM_US101", "/nowhere"))
 @pytest.mark.skipif(not REAL.is_file(), reason="set NGSIM_US101 to a US-101 trajectory file to run this")
 def test_a_real_recording_is_played_on_the_road(tmp_path):
     """Vehicles are on lanes of the net, hardly ever touch, and most of them are there for as long as they should."""
-    chosen = prepared(replaying(load_scenario("us101_replay"), REAL))
+    chosen = prepared(with_recording(load_scenario("us101_replay"), REAL))
     files = Files(shipped("sumo_nets/us101/us101.net.xml"), tmp_path / "r.xml", tmp_path / "log")
     files.routes.write_text(route_file(chosen.traffic, 1, 100.0))
     seen: set[str] = set()
