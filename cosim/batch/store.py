@@ -31,8 +31,8 @@ class BatchStore:
         self.folder = folder
 
     @contextmanager
-    def opened(self, wanted: Iterable[str]) -> Iterator[None]:
-        """Lock the folder for this process, remove unfinished attempts, and link the tables of the `wanted` runs.
+    def opened(self, runs: Iterable[str]) -> Iterator[None]:
+        """Lock the folder for this process, remove unfinished attempts, and link the tables of these runs.
 
         Raises `InputError` if the folder cannot be written or another `cosim batch` uses it.
         """
@@ -43,7 +43,7 @@ class BatchStore:
             raise InputError(f"cannot write to {self.folder}: {error.strerror}; give another --out") from None
         with _locked(self.folder / ".lock"):
             self.sweep()
-            self._link_tables(set(wanted))
+            self._link_tables(set(runs))
             yield
 
     def sweep(self) -> None:
@@ -97,9 +97,9 @@ class BatchStore:
             raise InputError(f"{self.folder}: not the folder of a batch; `cosim batch FILE` writes one")
         return json.loads(path.read_text())
 
-    def _link_tables(self, wanted: set[str]) -> None:
+    def _link_tables(self, runs: set[str]) -> None:
         """Let the tables hold those of these runs that have finished, and no others."""
-        present = wanted & self.finished()
+        present = runs & self.finished()
         for table in TABLES:
             (self.folder / table).mkdir(exist_ok=True)
             for path in (self.folder / table).glob("run=*"):

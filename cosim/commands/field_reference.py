@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from cosim.batch import spec
+from cosim.process.markdown_table import markdown_table
 from cosim.spec.scenario import json_schema as scenario_schema
 
 HEAD = """# Reference of YAML files
@@ -38,11 +39,14 @@ def _section(name: str, definition: dict[str, Any]) -> Iterator[str]:
     properties = definition.get("properties", {})
     if not properties:
         return
-    yield "| field | type | default |\n|---|---|---|"
     required = definition.get("required", [])
-    for field, kind in properties.items():
-        default = "" if field in required else f"`{_default(kind)}`"
-        yield f"| `{field}` | {_type(kind)} | {default} |"
+    yield from markdown_table(
+        ["field", "type", "default"],
+        [
+            [f"`{field}`", _type(kind), "" if field in required else f"`{_default(kind)}`"]
+            for field, kind in properties.items()
+        ],
+    )
     yield ""
 
 
@@ -79,6 +83,5 @@ def _range(kind: dict[str, Any]) -> str:
     signs = (("minimum", "≥"), ("exclusiveMinimum", ">"), ("maximum", "≤"), ("exclusiveMaximum", "<"))
     limits = [f"{sign} {kind[key]:g}" for key, sign in signs if key in kind]
     if pattern := kind.get("pattern"):
-        shown = pattern.replace("|", "\\|")
-        limits.append(f"like `{shown}`")
+        limits.append(f"like `{pattern}`")
     return f" {', '.join(limits)}" if limits else ""
