@@ -35,14 +35,13 @@ def reproduce(
     """
     if target not in TARGETS:
         raise InputError(f"got {target}, wanted one of {', '.join(TARGETS)}")
-    if target == "table2":
-        _reproduce_table2(ngsim, scenario, seeds, out, cache, tuple(row or ()), finished)
-        return
+    if target == "table2" and ngsim is None:
+        raise InputError("table2 needs recorded data: give --ngsim FOLDER with NGSIM files, or a scene file")
     one_thread()
+    from gri.paper.plan import Plan
     from gri.paper.publish import publish
-    from gri.paper.reproduce import Plan
 
-    plan = Plan(target, seeds, test, out, cache, scenes, scenario, tuple(row or ()), quick, processes, finished)  # type: ignore[arg-type]
+    plan = Plan(target, seeds, test, out, cache, scenes, scenario, tuple(row or ()), quick, processes, finished, ngsim)  # type: ignore[arg-type]
     try:
         with ProgressDisplay() as progress:
             written = publish(plan, progress)
@@ -51,32 +50,10 @@ def reproduce(
         raise typer.Exit(130) from None
     for path in written:
         say(str(path))
-    following = {"table1": "gri reproduce table3", "table3": "gri reproduce ood", "ood": "gri reproduce figures"}
+    following = {
+        "table1": "gri reproduce table3",
+        "table3": "gri reproduce ood",
+        "ood": "gri reproduce figures",
+        "table2": "gri reproduce figures",
+    }
     next_command(following.get(target, "cosim --help"))
-
-
-def _reproduce_table2(
-    ngsim: Path | None,
-    scenario: str | None,
-    seeds: int,
-    out: Path,
-    cache: Path,
-    rows: tuple[str, ...],
-    finished: bool,
-) -> None:
-    if ngsim is None:
-        raise InputError("table2 needs recorded data: give --ngsim FOLDER with NGSIM files, or a scene file")
-    one_thread()
-    from gri.data.ranges.recorded import RECORDED
-    from gri.paper.table2_report import Order, publish
-
-    if scenario is not None and scenario not in RECORDED:
-        raise InputError(f"got scenario {scenario}, wanted one of {', '.join(RECORDED)}")
-    written = []
-    with ProgressDisplay() as progress:
-        for name in [scenario] if scenario else RECORDED:
-            folder = out / name.removeprefix("ngsim_")
-            written += publish(Order(name, ngsim, seeds, folder, cache, rows, finished), progress)
-    for path in written:
-        say(str(path))
-    next_command("gri reproduce figures")

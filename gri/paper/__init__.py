@@ -1,4 +1,5 @@
-"""The paper's tables and figures: rows as data, trained as jobs, written beside the printed figures.
+"""The paper's tables and figures: rows as data, trained and tested as cached jobs, beside the published figures.
 
-Begin with `reproduce`, which decides what is to be trained; `rows` says what the tables consist of.
+Others use `plan.Plan` and `publish.publish`. Begin reading there: `rows` lists scenarios and rows, `run_jobs` trains
+and tests them, `score_frames` collects the results, `pages` and `figures` show them.
 """

@@ -1,106 +1,127 @@
-"""Write what a plan made: tables as CSV, Parquet and Markdown, figures, and how all of it came about."""
+"""Write the results of a plan: tables as CSV, Parquet and Markdown, figures, and how all of it was made."""
 
 import json
+import subprocess
 import time
-from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
+import torch
 
-from gri.evaluation.out_of_distribution import Front
-from gri.paper import figures, rows, tables
-from gri.paper.jobs import Job
-from gri.paper.reproduce import Plan, make, oracles, provenance
+from gri.data.scene_file.schema import header_of
+from gri.paper import figures, pages
+from gri.paper.job_cache import Job, scenarios_of
+from gri.paper.plan import Plan, command, make
+from gri.paper.score_frames import areas, curve_frame, released, score_frame
+from gri.paper.synthetic_measurements import oracle_curve
 from gri.progress import Progress, no_progress
-
-NOTES = """\
-Ours: mean over seeds ± standard deviation over test scenes (mean over seeds) [least seed, greatest seed]. Paper: mean
-± standard deviation. "4 edges": edges into driven vehicles; F1 is over those. Labels of models whose types have no
-meaning are renamed for the accuracy, "none" excepted. Absolute errors depend on scene constants and on the noise of
-the expert, of which the paper prints none: compare the ratios of rows.
-"""
-OOD_NOTES = """\
-Only the edge 1 -> 0, "follow", is left; vehicle 0 starts at the headway in the head of the column; success: at least
-2 m behind vehicle 1 after T steps. GRI's training maximises the learned reward from shifted starts as well, which cover
-these headways, without demonstrations there; "tested range held out" does not react to anything nearer than the
-training scenes' least headway in those roll-outs. The oracle is the open-loop optimum of the true reward over the same
-T steps; policies can pass it, as success is not what it maximises.
-"""
-FLIP_NOTES = """\
-Flip test, least seed: an edge is forced from one type to another on the same start; in what share of the scenes [%]
-does the final headway x_i − x_j (its sign: the order; or the lateral distance) change the way it does in the optimum
-of the true reward? Scenes in which that changes it by less than 0.1 m do not count.
-"""
-FRONTS = {
-    Front.CONSTANT_SPEED: "Vehicle 1 keeps its speed",
-    Front.POLICY: "Vehicle 1 is driven by the same policy, without a vehicle to heed",
-}
 
 
 def publish(plan: Plan, progress: Progress = no_progress) -> list[Path]:
-    """Make what is missing, then write everything; returns the files."""
+    """Run the missing jobs of a plan and write its tables and figures. Returns the files.
+
+    Each scenario of Table II has a folder of its own. Errors: `InputError` where the plan asks for what does not exist.
+    """
     began = time.monotonic()
-    wanted = make(plan, progress)
-    if plan.target in ("table1", "table3"):
-        written = _scores(plan, wanted)
-    else:
-        curves = tables.curve_rows(wanted, plan.cache, oracles(plan, wanted, progress))
-        written = _curves(plan, wanted, curves) if plan.target == "ood" else _figures(plan, wanted, curves)
-    path = plan.out / f"{plan.target}.json"
-    path.write_text(json.dumps(provenance(plan, wanted, began), indent=1) + "\n")
-    return [*written, path]
+    jobs = make(plan, progress)
+    if plan.target != "table2":
+        return _publish(plan, jobs, began, progress)
+    files = []
+    for scenario in scenarios_of(jobs):
+        part = replace(plan, scenario=scenario.name, out=plan.out / scenario.name.removeprefix("ngsim_"))
+        files += _publish(part, [job for job in jobs if job.scenario.name == scenario.name], began, progress)
+    return files
 
 
-def _seeds(wanted: Sequence[Job]) -> str:
-    """How many seeds the rows have: one number where all have as many."""
-    counts = Counter((job.scenario.name, job.row.name) for job in wanted).values()
-    return str(max(counts)) if len(set(counts)) == 1 else f"{min(counts)} to {max(counts)}"
-
-
-def _scenarios(wanted: Sequence[Job]) -> list[rows.Scenario]:
-    return [rows.scenario_named(name) for name in dict.fromkeys(job.scenario.name for job in wanted)]
-
-
-def _write(plan: Plan, frames: dict[str, pd.DataFrame], text: str) -> list[Path]:
+def _publish(plan: Plan, jobs: Sequence[Job], began: float, progress: Progress) -> list[Path]:
     plan.out.mkdir(parents=True, exist_ok=True)
-    written = []
+    cache, target = plan.cache, plan.target
+    if target in ("table1", "table3"):
+        scores = score_frame(jobs, cache)
+        files = write_frames({target: released(scores)}, plan.out)
+        files += write_page(pages.score_page(target, jobs, cache, scores), target, plan.out)
+    elif target == "table2":
+        scores, curves = score_frame(jobs, cache), curve_frame(jobs, cache, {})
+        page = pages.lane_change_page if jobs[0].scenario.cross_validation else pages.car_following_page
+        files = write_frames({"table2": released(scores), "table2_ood": curves}, plan.out)
+        files += write_page(page(jobs, cache, scores, curves), target, plan.out)
+        files += figures.draw(jobs, cache, plan.scenes_folder, curves, plan.out)
+    else:
+        curves = curve_frame(jobs, cache, oracle_curves(jobs, cache, progress))
+        if target == "ood":
+            files = write_frames({"ood": curves, "ood_areas": areas(curves)}, plan.out)
+            files += write_page(pages.curve_page(jobs, curves), target, plan.out)
+        else:
+            files = figures.draw(jobs, cache, plan.scenes_folder, curves, plan.out / "figures")
+    path = plan.out / f"{target}.json"
+    path.write_text(json.dumps(provenance(plan, jobs, began), indent=1) + "\n")
+    return [*files, path]
+
+
+def oracle_curves(jobs: Sequence[Job], cache: Path, progress: Progress) -> dict[str, list[dict[str, Any]]]:
+    """The out-of-distribution curve of the optimum, for each synthetic scenario."""
+    curves: dict[str, list[dict[str, Any]]] = {}
+    scenarios = scenarios_of(jobs)
+    for count, scenario in enumerate(scenarios):
+        first = next(job for job in jobs if job.scenario.name == scenario.name)
+        curves[scenario.name] = oracle_curve(first, cache)
+        progress("oracle", count + 1, len(scenarios), 0.0)
+    return curves
+
+
+def write_frames(frames: dict[str, pd.DataFrame], out: Path) -> list[Path]:
+    """Each frame as CSV and Parquet."""
     for name, frame in frames.items():
-        frame.to_csv(plan.out / f"{name}.csv", index=False)
-        frame.to_parquet(plan.out / f"{name}.parquet", index=False)
-        written += [plan.out / f"{name}.csv", plan.out / f"{name}.parquet"]
-    path = plan.out / f"{plan.target}.md"
+        frame.to_csv(out / f"{name}.csv", index=False)
+        frame.to_parquet(out / f"{name}.parquet", index=False)
+    return [out / f"{name}.{kind}" for name in frames for kind in ("csv", "parquet")]
+
+
+def write_page(text: str, name: str, out: Path) -> list[Path]:
+    """A Markdown page."""
+    path = out / f"{name}.md"
     path.write_text(text, encoding="utf-8")
-    return [path, *written]
+    return [path]
 
 
-def _scores(plan: Plan, wanted: Sequence[Job]) -> list[Path]:
-    scores = tables.score_rows(wanted, plan.cache)
-    scenes = ", ".join(str(count) for count in sorted(scores[scores["metric"] == "rmse_x"]["scenes"].unique()))
-    parts = [f"# {plan.target}: {_seeds(wanted)} seeds, {scenes} test scenes\n", NOTES]
-    for scenario in _scenarios(wanted):
-        parts += [f"## {scenario.title}\n", tables.markdown_table(scores, scenario) + "\n"]
-        flips = tables.markdown_flips(scores, scenario)
-        if flips:
-            parts += [FLIP_NOTES, flips + "\n"]
-        weights = tables.markdown_weights(wanted, plan.cache, scenario)
-        if weights:
-            parts += ["Reward weights over the jerk's, mean over seeds [range]:\n", weights + "\n"]
-    return _write(plan, {plan.target: scores}, "\n".join(parts))
+def provenance(plan: Plan, jobs: Sequence[Job], began: float) -> dict[str, Any]:
+    """How the files were made: command, commit, seeds, scenes, durations and versions."""
+    whole = [job for job in jobs if job.site is None]
+    made: dict[str, Any] = {
+        "command": command(plan),
+        "commit": commit(),
+        "seeds": sorted({job.seed for job in whole}),
+        "jobs": len(jobs),
+    }
+    duration = round(time.monotonic() - began, 1)
+    if plan.target == "table2":
+        assert jobs[0].scene_file is not None
+        names = dict.fromkeys(job.row.name for job in whole)
+        cpu_seconds = sum(job.result(plan.cache)["cpu_seconds"] for job in jobs)
+        made["rows"] = {name: [job.seed for job in whole if job.row.name == name] for name in names}
+        made["scenes"] = header_of(jobs[0].scene_file.path).provenance
+        made |= {"seconds": duration, "cpu_seconds": round(cpu_seconds, 1)}
+    else:
+        spent = [job.made(plan.cache) for job in jobs]
+        made["test_scenes"] = plan.test_scenes
+        made["training_seconds"] = round(sum(each["seconds"] for each in spent), 1)
+        made["training_cpu_seconds"] = round(sum(each.get("cpu_seconds") or 0 for each in spent), 1)
+        made["testing_seconds"] = round(sum(each["tests"] for each in spent), 1)
+        made["this_call_seconds"] = duration
+    return made | {"torch": str(torch.__version__), "gri-cosim": version("gri-cosim")}
 
 
-def _curves(plan: Plan, wanted: Sequence[Job], curves: pd.DataFrame) -> list[Path]:
-    parts = [f"# Out of distribution: success rate [%], mean over {_seeds(wanted)} seeds\n", OOD_NOTES]
-    for scenario in _scenarios(wanted):
-        for front, title in FRONTS.items():
-            parts += [f"## {scenario.title}. {title}\n", tables.markdown_curves(curves, scenario, front) + "\n"]
-            if "y" in scenario.features:
-                collisions = tables.markdown_curves(curves, scenario, front, "collision")
-                parts += ["Collision rate [%]: closer than 2 m at some instant.\n", collisions + "\n"]
-    return _write(plan, {"ood": curves, "ood_areas": tables.areas(curves)}, "\n".join(parts))
-
-
-def _figures(plan: Plan, wanted: Sequence[Job], curves: pd.DataFrame) -> list[Path]:
-    folder = plan.out / "figures"
-    names = figures.draw(wanted, plan.cache, plan.scenes_folder, curves, folder)
-    return [folder / f"{name}.{kind}" for name in names for kind in ("png", "svg")]
+def commit() -> str:
+    """The commit of the source tree, with "+" where files were changed; "unknown" outside of a source tree."""
+    here = Path(__file__).parents[1]
+    try:
+        head = subprocess.run(["git", "rev-parse", "HEAD"], cwd=here, capture_output=True, text=True, check=True)
+        state = ["git", "status", "--porcelain", "--untracked-files=no", "--", ".", "../scenarios"]
+        changed = subprocess.run(state, cwd=here, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
+    return head.stdout.strip() + ("+" if changed.stdout.strip() else "")

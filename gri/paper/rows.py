@@ -1,7 +1,7 @@
-"""What the tables and figures are made of: scenarios and their rows, as data.
+"""What the paper's tables and figures consist of: scenarios and their rows, as data.
 
-A row is a training configuration that comes with the project, `scenarios/train/PREFIX + suffix.yaml`. A row
-whose file does not exist is left out, so that a scenario grows by adding files.
+A row is a training configuration that comes with the project: `scenarios/train/PREFIX + suffix.yaml`. A row without
+such a file is left out of the tables. To add a row to a scenario, add the file.
 """
 
 from dataclasses import dataclass
@@ -10,11 +10,17 @@ from functools import cache
 import msgspec
 
 from gri import resources
-from gri.config import read_yaml
+from gri.config import checked, parsed
 from gri.core.graph import EdgeType
+from gri.data.ranges.recorded import NGSIM_CAR_FOLLOWING, NGSIM_LANE_CHANGING, RecordedRange
 from gri.evaluation.diagnostics import Flip
 from gri.evaluation.out_of_distribution import Protocol
+from gri.training.fine_tuning import FineTuning
 from gri.training.train import TrainConfig, read_train_config
+
+FOLLOWING_PROTOCOL = Protocol()
+LANE_PROTOCOL = Protocol(headways=tuple(float(x) for x in range(8, -9, -1)), kept=(0, 2))
+FINE_TUNING = FineTuning(updates=60)
 
 
 @dataclass(frozen=True)
@@ -23,26 +29,47 @@ class Row:
 
     name: str
     suffix: str
-    printed: str | None
-    """The paper's row it stands beside."""
+    published: str | None
+    """The paper's row that is printed beside it."""
     tables: tuple[str, ...] = ("table1",)
-    meaning: bool = True
-    """Its edge types have the meaning of the definitions; else tests force the types it infers itself."""
+    defined_types: bool = True
+    """Its edge types have the meaning of the definitions. Otherwise tests force the types that the model infers."""
+    calibrated: bool = False
+    """Has no training configuration: the parameters of a car-following model are fitted, once for all seeds."""
+    transfers: bool = False
+    """Is also trained on each recorded site alone and tested on all."""
+    uses_reward: bool = False
+    """Of recorded scenes: its training depends on the reward of the range."""
+
+
+@dataclass(frozen=True)
+class CrossValidation:
+    """How models of recorded lane changes are fine-tuned and tested (`recorded_lane_changes`)."""
+
+    folds: int = 5
+    tuning: FineTuning = FINE_TUNING
+    drawn_per_recorded: int = 4
+    """Drawn windows for each recorded one in fine-tuning, which otherwise fits the few recorded windows too closely."""
+    blur: tuple[float, float] = (0.2, 0.3)
+    """Standard deviations of the noise on first lateral speeds [m/s] and accelerations [m/s²] of drawn windows."""
 
 
 @dataclass(frozen=True)
 class Scenario:
-    """A kind of scene, its rows, and its test out of distribution."""
+    """A kind of scene, its rows and its tests."""
 
     name: str
     title: str
     prefix: str
     features: tuple[str, ...]
-    protocol: Protocol
-    paper: str
-    """Its section in published.yaml."""
     rows: tuple[Row, ...]
+    protocol: Protocol = FOLLOWING_PROTOCOL
+    """The out-of-distribution test of synthetic scenes."""
     flips: tuple[Flip, ...] = ()
+    recorded: RecordedRange | None = None
+    """What recorded scenes have in common; None for synthetic scenes."""
+    cross_validation: CrossValidation | None = None
+    """How recorded lane changes are trained and tested; None for the other scenarios."""
 
 
 NONE, FOLLOW, YIELD, CUT_IN = EdgeType
@@ -54,61 +81,50 @@ LANE_FLIPS = (
     Flip(0, 1, YIELD, CUT_IN, "headway"),
     Flip(0, 1, YIELD, CUT_IN, "order"),
 )
-GRI = Row("GRI", "", "GRI", ("table1", "table3", "ood"))
-SUPERVISED = Row("Supervised", "_supervised", "Supervised", ("table1", "ood"))
 ROWS = (
-    GRI,
+    Row("GRI", "", "GRI", ("table1", "table3", "ood")),
     Row("GRI (paper, contrast)", "_airl", "GRI", ("table1", "table3", "ood")),
     Row("GRI (paper, literal)", "_airl_literal", "GRI", ("table1", "ood")),
-    Row("NRI", "_nri", "NRI", ("table1", "ood"), meaning=False),
-    Row("NRI, type 0 speaks", "_nri_type0", "NRI", ("table1", "ood"), meaning=False),
-    SUPERVISED,
+    Row("NRI", "_nri", "NRI", ("table1", "ood"), defined_types=False),
+    Row("NRI, type 0 speaks", "_nri_type0", "NRI", ("table1", "ood"), defined_types=False),
+    Row("Supervised", "_supervised", "Supervised", ("table1", "ood")),
     Row("GRI, recurrent decoder", "_recurrent", "GRI", ("table1",)),
     Row("GRI, tested range held out", "_strict", "GRI", ("ood",)),
-    Row("GRI-VAIRL", "_gri_vairl", "GRI-VAIRL", ("table3", "ood"), meaning=False),
-    Row("GRI-AIRL", "_gri_airl", "GRI-AIRL", ("table3", "ood"), meaning=False),
+    Row("GRI-VAIRL", "_gri_vairl", "GRI-VAIRL", ("table3", "ood"), defined_types=False),
+    Row("GRI-AIRL", "_gri_airl", "GRI-AIRL", ("table3", "ood"), defined_types=False),
 )
 MIXED_ROWS = (Row("GRI", "", None), Row("GRI (paper, contrast)", "_airl", None), Row("Supervised", "_supervised", None))
-LANE_PROTOCOL = Protocol(headways=tuple(float(x) for x in range(8, -9, -1)), kept=(0, 2))
+RECORDED_ROWS = (
+    Row("GRI", "", "GRI", ("table2",), transfers=True, uses_reward=True),
+    Row("GRI (paper)", "_airl", "GRI", ("table2",), uses_reward=True),
+    Row("NRI", "_nri", "NRI", ("table2",), defined_types=False),
+    Row("Supervised", "_supervised", "Supervised", ("table2",), transfers=True),
+)
+IDM = Row("IDM, calibrated", "_idm", None, ("table2",), calibrated=True, transfers=True)
 
+X_V, X_Y_V = ("x", "v"), ("x", "y", "v")
+MIXED = "the true graph differs from scene to scene"
 SCENARIOS = (
+    Scenario("car_following", "Car following", "paper_car_following", X_V, ROWS, flips=FOLLOWING_FLIPS),
+    Scenario("car_following_mixed", f"Car following, {MIXED}", "paper_car_following_mixed", X_V, MIXED_ROWS),
+    Scenario("lane_changing", "Lane changing", "lane_changing", X_Y_V, ROWS, LANE_PROTOCOL, LANE_FLIPS),
+    Scenario("lane_changing_mixed", f"Lane changing, {MIXED}", "lane_changing_mixed", X_Y_V, MIXED_ROWS, LANE_PROTOCOL),
     Scenario(
-        "car_following",
-        "Car following",
-        "paper_car_following",
-        ("x", "v"),
-        Protocol(),
-        "car_following",
-        ROWS,
-        FOLLOWING_FLIPS,
+        "ngsim_car_following",
+        "Recorded car following (NGSIM)",
+        "ngsim_car_following",
+        X_V,
+        (IDM, *RECORDED_ROWS),
+        recorded=NGSIM_CAR_FOLLOWING,
     ),
     Scenario(
-        "car_following_mixed",
-        "Car following, the true graph differs from scene to scene",
-        "paper_car_following_mixed",
-        ("x", "v"),
-        Protocol(),
-        "",
-        MIXED_ROWS,
-    ),
-    Scenario(
-        "lane_changing",
-        "Lane changing",
-        "lane_changing",
-        ("x", "y", "v"),
-        LANE_PROTOCOL,
-        "lane_changing",
-        ROWS,
-        LANE_FLIPS,
-    ),
-    Scenario(
-        "lane_changing_mixed",
-        "Lane changing, the true graph differs from scene to scene",
-        "lane_changing_mixed",
-        ("x", "y", "v"),
-        LANE_PROTOCOL,
-        "",
-        MIXED_ROWS,
+        "ngsim_lane_changing",
+        "Recorded lane changing (NGSIM)",
+        "ngsim_lane_changing",
+        X_Y_V,
+        RECORDED_ROWS,
+        recorded=NGSIM_LANE_CHANGING,
+        cross_validation=CrossValidation(),
     ),
 )
 
@@ -120,8 +136,8 @@ def config_of(scenario: Scenario, row: Row) -> TrainConfig | None:
 
 
 def rows_of(scenario: Scenario, table: str) -> tuple[Row, ...]:
-    """The rows of one table for which there is a configuration."""
-    return tuple(row for row in scenario.rows if table in row.tables and config_of(scenario, row))
+    """The rows of one table that can be made: those with a configuration, and calibrated ones."""
+    return tuple(row for row in scenario.rows if table in row.tables and (row.calibrated or config_of(scenario, row)))
 
 
 def scenario_named(name: str) -> Scenario:
@@ -129,8 +145,8 @@ def scenario_named(name: str) -> Scenario:
     return next(scenario for scenario in SCENARIOS if scenario.name == name)
 
 
-class Printed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A row as the paper prints it: mean and standard deviation."""
+class PublishedRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A row as the paper prints it: mean and standard deviation of each score."""
 
     x: tuple[float, float]
     v: tuple[float, float]
@@ -138,16 +154,13 @@ class Printed(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     accuracy: tuple[float, float] | None = None
 
 
-class Paper(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The printed rows of the two synthetic scenarios and of the two recorded ones."""
-
-    car_following: dict[str, Printed]
-    lane_changing: dict[str, Printed]
-    ngsim_car_following: dict[str, Printed]
-    ngsim_lane_changing: dict[str, Printed]
-
-
 @cache
-def printed() -> dict[str, dict[str, Printed]]:
-    """The paper's figures by scenario and row."""
-    return msgspec.structs.asdict(read_yaml(resources.PACKAGE / "paper/published.yaml", Paper))
+def published_rows() -> dict[str, dict[str, PublishedRow]]:
+    """The paper's rows by name, for the two synthetic scenarios and the two recorded ones that it has."""
+    path = resources.PACKAGE / "paper/published.yaml"
+    return checked(parsed(path), dict[str, dict[str, PublishedRow]], path)
+
+
+def published_row(scenario: Scenario, row: Row | None) -> PublishedRow | None:
+    """The paper's figures beside a row, if it prints any."""
+    return published_rows().get(scenario.name, {}).get((row and row.published) or "")
