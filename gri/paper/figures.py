@@ -88,7 +88,7 @@ def edge_frequencies(scenario: Scenario, jobs: Sequence[Job], cache: Path) -> Fi
         for name, matrices in _frequencies(job, job.result(cache)).items():
             found.setdefault(name, []).append(matrices)
     means = {name: np.mean(seeds, 0) for name, seeds in found.items()}
-    return frequency_matrices(means, jobs[0].vocabulary, f"{scenario.title}: share of test scenes with the type")
+    return frequency_matrices(means, jobs[0].model.vocabulary, f"{scenario.title}: share of test scenes with the type")
 
 
 def _frequencies(job: Job, result: dict[str, Any]) -> dict[str, np.ndarray]:
@@ -99,14 +99,14 @@ def _frequencies(job: Job, result: dict[str, Any]) -> dict[str, np.ndarray]:
         return {job.row.name: np.array(result["graphs"]["frequency"])}
     inferred, hypothesis = torch.tensor(result["before"]["inferred"]), torch.tensor(result["hypothesis"])
     return {
-        f"{job.row.name}, {name}": edge_frequency(inferred[hypothesis == number], len(job.vocabulary)).numpy()
+        f"{job.row.name}, {name}": edge_frequency(inferred[hypothesis == number], len(job.model.vocabulary)).numpy()
         for number, name in enumerate(("H1", "H2"))
     }
 
 
 def _true_frequency(job: Job) -> np.ndarray:
     """[K, N, N]"""
-    shares, vocabulary = job.training.data.shares, job.vocabulary
+    shares, vocabulary = job.training.data.shares, job.model.vocabulary
     weights = torch.tensor([float(share.share) for share in shares])
     graphs = [{(edge.sender, edge.receiver): edge.type for edge in share.edges} for share in shares]
     parts = [edge_frequency(InteractionGraph.of_edges(graph, vocabulary).map, len(vocabulary)) for graph in graphs]
@@ -174,8 +174,11 @@ def densities(job: Job, cache: Path, scenes_folder: Path, samples: int = 400) ->
     feature = "y" if "y" in job.scenario.features else "v"
     columns = [model.dynamics.index("x"), model.dynamics.index(feature)]
     figure, axes = plt.subplots(2, 1, figsize=(5.0, 5.2), sharex=True)
+    share = torch.linspace(0, 1, 9)[:-1, None, None, None]  # points between steps, which the density would show
     for axis, vehicle in zip(axes, (1, 0), strict=True):
-        density(axis, _with_points_between(states[:, vehicle][..., columns]).reshape(-1, 2).numpy())
+        points = states[:, vehicle][..., columns]
+        points = (1 - share) * points[:, :-1] + share * points[:, 1:]
+        density(axis, points.reshape(-1, 2).numpy())
         recorded = scene.state[0, vehicle][:, columns].numpy()
         axis.plot(recorded[:, 0], recorded[:, 1], color="blue", lw=1.2, label="recorded")
         axis.set_ylabel(AXES[feature])
@@ -185,12 +188,6 @@ def densities(job: Job, cache: Path, scenes_folder: Path, samples: int = 400) ->
     axes[-1].set_xlabel(AXES["x"])
     figure.tight_layout()
     return figure
-
-
-def _with_points_between(states: Tensor, parts: int = 8) -> Tensor:
-    """Points on straight lines between successive steps, so that the density does not show the time steps."""
-    share = torch.linspace(0, 1, parts + 1)[:-1, None, None, None]
-    return (1 - share) * states[:, :-1] + share * states[:, 1:]
 
 
 def example(scenario: Scenario, jobs: Sequence[Job], cache: Path) -> Figure:

@@ -15,8 +15,7 @@ from typing import Any
 import msgspec
 import torch
 
-from gri.core.dynamics import Dynamics, dynamics_named
-from gri.core.graph import Vocabulary
+from gri.networks.model import ModelConfig
 from gri.paper.rows import Row, Scenario
 from gri.training.optimisation import ACROSS
 from gri.training.train import TrainConfig, model_config
@@ -73,12 +72,8 @@ class Job:
         return self.config
 
     @property
-    def dynamics(self) -> Dynamics:
-        return dynamics_named(model_config(self.training).dynamics)
-
-    @property
-    def vocabulary(self) -> Vocabulary:
-        return model_config(self.training).vocabulary
+    def model(self) -> ModelConfig:
+        return model_config(self.training)
 
 
 def scenarios_of(jobs: Sequence[Job]) -> list[Scenario]:

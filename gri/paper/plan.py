@@ -80,7 +80,9 @@ def jobs_of(plan: Plan, file: SceneFile | None = None, sites: Sequence[str] = ()
     unknown = [name for name in plan.rows if name not in names]
     if unknown:
         raise InputError(f"got row {unknown[0]}, wanted one of {', '.join(names)}")
-    wanted = [(scenario, row) for scenario in scenarios for row in _rows(scenario, plan)]
+    available = {(s.name, row) for s in scenarios for table in TABLES[plan.target] for row in rows.rows_of(s, table)}
+    chosen = [(s, row) for s in scenarios for row in s.rows if not plan.rows or row.name in plan.rows or row.calibrated]
+    wanted = [(scenario, row) for scenario, row in chosen if (scenario.name, row) in available]
     made = [(*each, seed, None) for seed in range(plan.seeds) for each in wanted if seed == 0 or not each[1].calibrated]
     if len(sites) > 1:
         transferred = [(scenario, row) for scenario, row in wanted if row.transfers and not scenario.cross_validation]
@@ -96,12 +98,6 @@ def _scenarios(plan: Plan) -> list[Scenario]:
     if plan.scenario not in known:
         raise InputError(f"got scenario {plan.scenario} for {plan.target}, wanted one of {', '.join(known)}")
     return [known[plan.scenario]]
-
-
-def _rows(scenario: Scenario, plan: Plan) -> list[Row]:
-    available = {row for table in TABLES[plan.target] for row in rows.rows_of(scenario, table)}
-    wanted = [row for row in scenario.rows if not plan.rows or row.name in plan.rows or row.calibrated]
-    return [row for row in wanted if row in available]
 
 
 def _job(plan: Plan, scenario: Scenario, row: Row, seed: int, site: str | None, file: SceneFile | None) -> Job:

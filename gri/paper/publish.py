@@ -38,23 +38,20 @@ def publish(plan: Plan, progress: Progress = no_progress) -> list[Path]:
 
 
 def _publish(plan: Plan, jobs: Sequence[Job], began: float, progress: Progress) -> list[Path]:
-    plan.out.mkdir(parents=True, exist_ok=True)
     cache, target = plan.cache, plan.target
     if target in ("table1", "table3"):
         scores = score_frame(jobs, cache)
-        files = write_frames({target: released(scores)}, plan.out)
-        files += write_page(pages.score_page(target, jobs, cache, scores), target, plan.out)
+        files = write_tables(plan, {target: released(scores)}, pages.score_page(target, jobs, cache, scores))
     elif target == "table2":
         scores, curves = score_frame(jobs, cache), curve_frame(jobs, cache, {})
-        page = pages.lane_change_page if jobs[0].scenario.cross_validation else pages.car_following_page
-        files = write_frames({"table2": released(scores), "table2_ood": curves}, plan.out)
-        files += write_page(page(jobs, cache, scores, curves), target, plan.out)
+        page_of = pages.lane_change_page if jobs[0].scenario.cross_validation else pages.car_following_page
+        frames = {"table2": released(scores), "table2_ood": curves}
+        files = write_tables(plan, frames, page_of(jobs, cache, scores, curves))
         files += figures.draw(jobs, cache, plan.scenes_folder, curves, plan.out)
     else:
         curves = curve_frame(jobs, cache, oracle_curves(jobs, cache, progress))
         if target == "ood":
-            files = write_frames({"ood": curves, "ood_areas": areas(curves)}, plan.out)
-            files += write_page(pages.curve_page(jobs, curves), target, plan.out)
+            files = write_tables(plan, {"ood": curves, "ood_areas": areas(curves)}, pages.curve_page(jobs, curves))
         else:
             files = figures.draw(jobs, cache, plan.scenes_folder, curves, plan.out / "figures")
     path = plan.out / f"{target}.json"
@@ -73,19 +70,16 @@ def oracle_curves(jobs: Sequence[Job], cache: Path, progress: Progress) -> dict[
     return curves
 
 
-def write_frames(frames: dict[str, pd.DataFrame], out: Path) -> list[Path]:
-    """Each frame as CSV and Parquet."""
+def write_tables(plan: Plan, frames: dict[str, pd.DataFrame], page: str) -> list[Path]:
+    """Each frame as CSV and Parquet, and a Markdown page."""
+    plan.out.mkdir(parents=True, exist_ok=True)
+    files = [plan.out / f"{plan.target}.md"]
+    files[0].write_text(page, encoding="utf-8")
     for name, frame in frames.items():
-        frame.to_csv(out / f"{name}.csv", index=False)
-        frame.to_parquet(out / f"{name}.parquet", index=False)
-    return [out / f"{name}.{kind}" for name in frames for kind in ("csv", "parquet")]
-
-
-def write_page(text: str, name: str, out: Path) -> list[Path]:
-    """A Markdown page."""
-    path = out / f"{name}.md"
-    path.write_text(text, encoding="utf-8")
-    return [path]
+        files += [plan.out / f"{name}.csv", plan.out / f"{name}.parquet"]
+        frame.to_csv(files[-2], index=False)
+        frame.to_parquet(files[-1], index=False)
+    return files
 
 
 def provenance(plan: Plan, jobs: Sequence[Job], began: float) -> dict[str, Any]:

@@ -177,13 +177,8 @@ def yielding_by_ratio(model: RelationalModel, scenes: Scenes, defined_types: boo
 def in_window_order(parts: list[dict[str, Any]], order: Int[torch.Tensor, " S"]) -> dict[str, Any]:
     """The scores of all folds as those of all windows, in the order of the windows."""
 
-    def joined(*keys: str) -> list[Any]:
-        values = []
-        for part in parts:
-            for key in keys:
-                part = part[key]
-            values.append(torch.as_tensor(part))
-        return torch.cat(values)[order].tolist()
+    def joined(values: list[Any]) -> list[Any]:
+        return torch.cat([torch.as_tensor(value) for value in values])[order].tolist()
 
     first = parts[0]
     points = [
@@ -191,8 +186,8 @@ def in_window_order(parts: list[dict[str, Any]], order: Int[torch.Tensor, " S"])
         for k, point in enumerate(first["ood"])
     ]
     return {
-        "errors": {name: joined("errors", name) for name in first["errors"]},
-        "graphs": first["graphs"] and {name: joined("graphs", name) for name in first["graphs"]},
-        "inferred": joined("inferred"),
+        "errors": {name: joined([part["errors"][name] for part in parts]) for name in first["errors"]},
+        "graphs": first["graphs"] and {n: joined([part["graphs"][n] for part in parts]) for n in first["graphs"]},
+        "inferred": joined([part["inferred"] for part in parts]),
         "ood": points,
     }

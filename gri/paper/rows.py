@@ -140,11 +140,6 @@ def rows_of(scenario: Scenario, table: str) -> tuple[Row, ...]:
     return tuple(row for row in scenario.rows if table in row.tables and (row.calibrated or config_of(scenario, row)))
 
 
-def scenario_named(name: str) -> Scenario:
-    """A scenario by its name."""
-    return next(scenario for scenario in SCENARIOS if scenario.name == name)
-
-
 class PublishedRow(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """A row as the paper prints it: mean and standard deviation of each score."""
 

@@ -7,6 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from gri.core.dynamics import dynamics_named
 from gri.core.scenes import Scenes
 from gri.data.store import Splits
 from gri.data.synthetic.expert import sample_starts, true_reward
@@ -28,9 +29,11 @@ def measure_model(
     job: Job, model: RelationalModel, reward: StructuredReward | None, splits: Splits, cache: Path
 ) -> dict[str, Any]:
     """The result of a job. The same model always gives the same values."""
-    scenes = splits.test
+    scenes, ranges = splits.test, job.training.data.scene_range
     graph = driving_graph(model, scenes)
     states, types = diagnostics.reconstruct(model, scenes), forced_types(job, model, graph.map)
+    drive = ood.driver(model, types, ranges.steps)
+    weights = None if reward is None else diagnostics.weights_beside_truth(reward, true_reward(ranges))
     return {
         "rmse": {
             name: metrics.rmse(states, scenes.state, model.dynamics.index(name)) for name in job.scenario.features
@@ -38,12 +41,10 @@ def measure_model(
         "graphs": None if model.encoder is None else graph_scores_of(model, graph.map, scenes.graph),
         "shuffled": None if model.encoder is None else diagnostics.shuffle_agreement(model, scenes),
         "std": std_along_horizon(job, model, splits),
-        "weights": None
-        if reward is None
-        else diagnostics.weights_beside_truth(reward, true_reward(job.training.data.scene_range)),
+        "weights": weights,
         "flip": flip_agreements(job, model, scenes[:FLIPPED_SCENES], cache),
         "ood_types": types.tolist(),
-        "ood": [asdict(point) for point in success_curve(job, model, types)],
+        "ood": [asdict(point) for point in ood.curve(drive, starts(job), job.scenario.protocol, model.dynamics)],
     }
 
 
@@ -106,8 +107,8 @@ def optimal_changes(job: Job, scenes: Scenes, cache: Path) -> dict[str, list[flo
     content = [VERSION, data, data.scene_range, data.shares, [asdict(flip) for flip in flips], len(scenes)]
 
     def compute() -> dict[str, Tensor]:
-        true, dt = true_reward(data.scene_range), data.scene_range.dt
-        return {flip.name: diagnostics.optimal_change(scenes, true, job.dynamics, dt, flip) for flip in flips}
+        true, dt, dynamics = true_reward(data.scene_range), data.scene_range.dt, dynamics_named(job.model.dynamics)
+        return {flip.name: diagnostics.optimal_change(scenes, true, dynamics, dt, flip) for flip in flips}
 
     return cached(cache, f"flips-{job.scenario.name}", content, compute)
 
@@ -117,12 +118,6 @@ def forced_types(job: Job, model: RelationalModel, inferred: Tensor) -> Tensor:
     if job.row.defined_types:
         return ood.follow_edge(model.config.vocabulary)
     return ood.modal_edges(inferred, job.scenario.protocol.kept, vehicles=3)
-
-
-def success_curve(job: Job, model: RelationalModel, types: Tensor) -> list[ood.Point]:
-    """The out-of-distribution test of a model."""
-    drive = ood.driver(model, types, job.training.data.scene_range.steps)
-    return ood.curve(drive, starts(job), job.scenario.protocol, model.dynamics)
 
 
 def starts(job: Job) -> Tensor:
@@ -136,7 +131,7 @@ def starts(job: Job) -> Tensor:
 def oracle_drive(job: Job) -> ood.Drive:
     """Driving by the optimum of the true reward."""
     scenes = job.training.data.scene_range
-    return ood.oracle(true_reward(scenes), job.dynamics, scenes.dt, scenes.steps)
+    return ood.oracle(true_reward(scenes), dynamics_named(job.model.dynamics), scenes.dt, scenes.steps)
 
 
 def oracle_curve(job: Job, cache: Path) -> list[dict[str, Any]]:
@@ -146,6 +141,7 @@ def oracle_curve(job: Job, cache: Path) -> list[dict[str, Any]]:
 
     def compute() -> list[dict[str, Any]]:
         torch.set_num_threads(1)
-        return [asdict(point) for point in ood.curve(oracle_drive(job), starts(job), protocol, job.dynamics)]
+        points = ood.curve(oracle_drive(job), starts(job), protocol, dynamics_named(job.model.dynamics))
+        return [asdict(point) for point in points]
 
     return cached(cache, f"oracle-{job.scenario.name}", content, compute)

@@ -5,10 +5,10 @@ import pytest
 
 from gri.evaluation.out_of_distribution import Front
 from gri.paper.pages import flip_table, rate_table, score_table, weight_table
-from gri.paper.rows import scenario_named
+from gri.paper.rows import SCENARIOS
 from gri.paper.score_frames import areas
 
-FOLLOWING, LANES = scenario_named("car_following"), scenario_named("lane_changing")
+FOLLOWING, LANES = SCENARIOS[0], SCENARIOS[2]
 
 
 def test_scores_stand_beside_the_papers():
