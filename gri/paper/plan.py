@@ -146,9 +146,10 @@ def make(plan: Plan, progress: Progress = no_progress) -> list[Job]:
     missing = [job for job in wanted if not job.is_done(plan.cache)]
     if plan.finished:
         done = [job for job in wanted if job not in missing]
-        if all(job.site for job in done):
+        trained_on_all = {job.scenario.name for job in done if job.site is None}
+        if not trained_on_all:
             raise InputError(f"got --finished, but nothing is finished in {plan.cache}; leave it out to train")
-        return done
+        return [job for job in done if job.scenario.name in trained_on_all]
     for job in missing:
         if job.scenario.recorded is None and not scenes_path(job.training.data, plan.scenes_folder).is_file():
             scenes_of(job.training.data, plan.scenes_folder, progress)
@@ -169,6 +170,5 @@ def _jobs(plan: Plan, progress: Progress) -> list[Job]:
     scenarios, path = _scenarios(plan), scene_file(plan.ngsim, plan.cache, progress)
     with path.open("rb") as opened:
         file = SceneFile(path, hashlib.file_digest(opened, "sha256").hexdigest()[:16])
-    sites = {s.name: sites_of(path, s.recorded) for s in scenarios if s.recorded and not s.cross_validation}
-    each = (jobs_of(replace(plan, scenario=s.name), file, sites.get(s.name, [])) for s in scenarios)
-    return [job for jobs in each for job in jobs]
+    sites = [site for s in scenarios if s.recorded and not s.cross_validation for site in sites_of(path, s.recorded)]
+    return jobs_of(plan, file, sites)

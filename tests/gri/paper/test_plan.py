@@ -89,6 +89,7 @@ def test_results_say_the_command_without_folders_of_this_machine():
 
 
 def test_rows_can_be_chosen():
+    assert [job.row for job in jobs_of(Plan("table2", 1, rows=(IDM.name,)), FILE)] == [IDM]
     assert [job.row.name for job in jobs_of(replace(SYNTHETIC, rows=("NRI", "GRI")))] == ["GRI", "NRI"]
 
 
