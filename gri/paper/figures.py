@@ -138,7 +138,7 @@ def success_curves(scenario: Scenario, curves: pd.DataFrame) -> Figure:
             if rate != "lateral":
                 axis.set_ylim(-0.03, 1.03)
             axis.set_ylabel(RATES[rate])
-            axis.set_title(FRONTS[front] if front and line is axes[0] else "", fontsize=9)
+            axis.set_title(FRONTS[front] if front and rate == "success" else "", fontsize=9)
     for axis in axes[-1]:
         axis.set_xlabel("starting headway Δx [m]" if synthetic else "δ: share by which the starting headway is shrunk")
     if synthetic:
@@ -161,7 +161,7 @@ def std_along_horizon(scenario: Scenario, jobs: Sequence[Job], cache: Path) -> F
         axis.set_xlabel("time [s]")
         axis.set_ylabel(f"standard deviation of {AXES[feature]}")
         axis.set_yscale("log")  # the rows are two orders of magnitude apart
-    legend_below(figure, axes[0], columns=4, height=0.55)
+    legend_below(figure, axes[0], columns=4, height=0.544)
     return figure
 
 

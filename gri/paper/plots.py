@@ -79,7 +79,7 @@ def curve(axis: Axes, name: str, x: ArrayLike, mean: ArrayLike, half_width: Arra
     mean, half_width = np.asarray(mean), np.asarray(half_width)
     colour, above = COLOURS.get(name, "black"), {"oracle": 4, "GRI": 3}.get(name, 2)
     axis.plot(x, mean, label=name, color=colour, lw=1.4, ls="--" if name == "oracle" else "-", zorder=above)
-    axis.fill_between(x, mean - half_width, mean + half_width, color=colour, alpha=0.15, lw=0, zorder=above)  # type: ignore[arg-type]
+    axis.fill_between(x, mean - half_width, mean + half_width, color=colour, alpha=0.15, lw=0)  # type: ignore[arg-type]
 
 
 def legend_below(figure: Figure, axis: Axes, columns: int, height: float) -> None:
