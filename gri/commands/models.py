@@ -107,8 +107,8 @@ def evaluate(
     found = None
     if scene_file is None:
         test = _scenes(config, scenes).test
-    elif config.data.tested_on is not None:
-        test, found, drawn = scenes_to_test(scene_file, config.data.tested_on, split)
+    elif config.data.scene_file_range is not None:
+        test, found, drawn = scenes_to_test(scene_file, config.data.scene_file_range, split)
         if drawn:
             say(f"left out: {drawn} scenes with drawn lateral motion, which are for training only")
     else:

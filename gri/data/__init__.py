@@ -1,4 +1,8 @@
-"""Scenes of every origin: synthetic ones, and those read from scene files of recorded or simulated traffic.
+"""Scenes from every origin: synthetic ones, and those of scene files from recorded or simulated traffic.
 
-Begin with `store`, which gives a configuration its scenes.
+`store.scenes_of` returns the training, validation and test scenes (`gri.core.scenes.Scenes`) of a configuration; that
+is what training and evaluation use. `recorded` reads scene files for a model, `export` writes synthetic scenes to a
+scene file, `mixture` joins both kinds. The inner rooms are `ranges` (what scenes of one kind have in common),
+`synthetic` (making scenes), `scene_file` (the file format) and `ngsim` (extracting scenes from recordings). Begin
+reading with `store`.
 """

@@ -1,4 +1,4 @@
-"""Synthetic scenes in a scene file, beside which those of SUMO and of recorded traffic can be trained on."""
+"""Writing synthetic scenes to a scene file, so that they can be used together with those of SUMO and recordings."""
 
 from importlib.metadata import version
 from pathlib import Path
@@ -15,17 +15,17 @@ from gri.errors import InputError
 
 
 def write_synthetic(path: Path, config: DataConfig, splits: Splits) -> None:
-    """Write the first steps of each scene, as many as recorded scenes of that kind have.
+    """Write the scenes of all splits to the scene file `path`, truncated to the T of recorded scenes of their kind.
 
-    Errors: `InputError` where no recorded scenes are like them.
+    Errors: `InputError` if no scene file has scenes of this kind; us101 and highway_merge are possible.
     """
-    like = config.tested_on
-    if config.recorded is not None or like is None:
+    file_range = config.scene_file_range
+    if config.recorded is not None or file_range is None:
         raise InputError(
-            f"scenes of range {config.range} go into no scene file; those of us101 and highway_merge do, beside SUMO's"
+            f"got scenes of range {config.range}, wanted us101 or highway_merge; others have no place in a scene file"
         )
     header = Header(
-        dt=like.dt,
+        dt=file_range.dt,
         vehicles=splits.train.state.shape[1],
         provenance={"made by": f"gri-cosim {version('gri-cosim')}", "synthetic": msgspec.to_builtins(config)},
     )
@@ -37,22 +37,22 @@ def write_synthetic(path: Path, config: DataConfig, splits: Splits) -> None:
 
 
 def _block(config: DataConfig, scenes: Scenes, split: str, first: int) -> SceneBlock:
-    """Scenes are counted through from `first`, and so are their vehicles: nobody is in two of them."""
-    like = config.tested_on
-    assert like is not None
-    state = scenes.state[:, :, : like.steps].numpy()
+    """The scenes of one split. Scene numbers begin at `first`. No two scenes share a vehicle number."""
+    file_range = config.scene_file_range
+    assert file_range is not None
+    state = scenes.state[:, :, : file_range.steps].numpy()
     count, n = state.shape[:2]
     number = np.arange(first, first + count)
-    names = np.array([str(kind) for kind in like.vocabulary], object)
+    names = np.array([str(kind) for kind in file_range.vocabulary], object)
     assert scenes.graph.shape[1] == len(pairs(n))
     return SceneBlock(
-        kind=like.kinds[0],
+        kind=file_range.kinds[0],
         source=np.full(count, f"synthetic {config.range}", object),
         recording=np.full(count, f"seed {config.seed}", object),
         split=np.full(count, split, object),
         start=np.zeros(count),
         vehicle=number[:, None] * n + np.arange(n),
-        features={name: state[..., k] for k, name in enumerate(dynamics_named(like.dynamics).state)},
+        features={name: state[..., k] for k, name in enumerate(dynamics_named(file_range.dynamics).state)},
         edges=names[scenes.graph.numpy()],
-        size={"length": np.full((count, n), like.length or 0.0)},
+        size={"length": np.full((count, n), file_range.length or 0.0)},
     )

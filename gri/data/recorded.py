@@ -1,4 +1,4 @@
-"""Recorded scenes for training and testing: read from a scene file, in the layout the models work in."""
+"""Scenes of scene files for training and testing, in the models' coordinates."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,50 +10,55 @@ from torch import Tensor
 
 from gri.core.dynamics import dynamics_named
 from gri.core.scenes import Scenes
-from gri.data.ngsim.drawn_lane_changes import MARK
+from gri.data.ngsim.sampled_lateral_motion import SOURCE_SUFFIX
 from gri.data.ranges.recorded import RecordedRange
 from gri.data.scene_file.reading import Recorded, joined, read, scene_counts
 from gri.errors import InputError
 
 
 def recorded_scenes(path: Path | Sequence[Path], scenes: RecordedRange, split: str | None) -> tuple[Scenes, Recorded]:
-    """Scenes of a file, or of several, with their actions, and all else the files say of them.
+    """The scenes of one or several files, and the remaining content of the files for these scenes.
 
-    y is counted from the mean lateral position of the leader, so that the target lane is at 0, and x from where vehicle
-    0 starts. Errors: `InputError` where a file has no such scenes, or of another length or rate.
+    Only scenes of the kinds of `scenes` are read, and only those of `split` if that is given. x [m] is relative to the
+    start of vehicle 0. y [m], if the dynamics have it, is relative to the leader's mean lateral position, so the target
+    lane is at 0. Actions come from the inverse dynamics.
+
+    Errors: `InputError` if a file has no such scenes, has other T or Δt, or has incomplete scenes.
     """
     dynamics = dynamics_named(scenes.dynamics)
     paths = [path] if isinstance(path, Path) else path
-    found = joined([part for each in paths for part in _found(each, scenes, split)])
-    state = _in_lane(found.trajectory.state) if "y" in dynamics.state else found.trajectory.state
+    found = joined([part for each in paths for part in _read_file(each, scenes, split)])
+    state = _lateral_from_leader(found.trajectory.state) if "y" in dynamics.state else found.trajectory.state
     if scenes.length is not None:
-        state = _as_long_as(scenes.length, state, found.length)
-    state = _from_origin(state)
+        state = _with_vehicle_length(scenes.length, state, found.length)
+    state = _from_start_of_vehicle_0(state)
     action = dynamics.inverse(state[:, :-1, :-1], state[:, :-1, 1:], found.trajectory.dt)
     return Scenes(state, action, found.graph), found
 
 
-def are_drawn(found: Recorded) -> Bool[np.ndarray, " S"]:
-    """Which scenes have drawn motion across the road."""
-    return np.array([str(source).endswith(MARK) for source in found.source], bool)
+def has_sampled_lateral_motion(found: Recorded) -> Bool[np.ndarray, " S"]:
+    """Whether each scene has sampled lateral motion (`gri.data.ngsim.sampled_lateral_motion`)."""
+    return np.array([str(source).endswith(SOURCE_SUFFIX) for source in found.source], bool)
 
 
 def scenes_to_test(path: Path, scenes: RecordedRange, split: str | None) -> tuple[Scenes, Recorded, int]:
-    """The scenes of a file without those that have drawn motion, which are for training; and how many these are.
+    """Like `recorded_scenes`, without the scenes with sampled lateral motion, and the number of those.
 
-    Errors: `InputError` as in `recorded_scenes`, and where nothing is left.
+    Scenes with sampled lateral motion are for training only.
+
+    Errors: `InputError` as in `recorded_scenes`, and if no scene remains.
     """
-    every, found = recorded_scenes(path, scenes, split)
-    kept = torch.from_numpy(np.flatnonzero(~are_drawn(found)))
-    if not len(kept):
+    all_scenes, found = recorded_scenes(path, scenes, split)
+    chosen = torch.from_numpy(np.flatnonzero(~has_sampled_lateral_motion(found)))
+    if not len(chosen):
         raise InputError(
             f"{path}: got {len(found)} scenes for range {scenes.name}, all with drawn lateral motion, which are for "
-            "training; wanted recorded ones, of a file whose lateral positions change"
+            "training only; wanted scenes with recorded lateral motion; give another file"
         )
-    return every[kept], found[kept], len(every) - len(kept)
+    return all_scenes[chosen], found[chosen], len(all_scenes) - len(chosen)
 
 
-def _found(path: Path, scenes: RecordedRange, split: str | None) -> list[Recorded]:
+def _read_file(path: Path, scenes: RecordedRange, split: str | None) -> list[Recorded]:
     dynamics, parts = dynamics_named(scenes.dynamics), []
     for kind in kinds_in(path, scenes, split):
         part = read(path, kind, dynamics, scenes.vocabulary, split)
@@ -64,28 +69,37 @@ def _found(path: Path, scenes: RecordedRange, split: str | None) -> list[Recorde
                 "make the scenes with the default rules"
             )
         if not bool(part.trajectory.valid.all()):
-            raise InputError(f"{path}: some states of kind {kind} do not exist, wanted complete scenes")
+            raise InputError(
+                f"{path}: got scenes of kind {kind} with missing states, wanted complete scenes; make the file again"
+            )
         parts.append(part)
     return parts
 
 
 def kinds_in(path: Path, scenes: RecordedRange, split: str | None) -> tuple[str, ...]:
-    """Those of the wanted kinds that the file has in the split; all where it has none, so that reading says so."""
+    """The kinds of `scenes` that the file has in the split; all kinds of `scenes` if it has none.
+
+    In the second case, reading the file raises the error that names the missing kind.
+    """
     counts = scene_counts(path)
     found = [kind for kind in scenes.kinds if any(k == kind and split in (None, s) for k, s in counts)]
     return tuple(found) or scenes.kinds
 
 
-def _in_lane(state: Float[Tensor, "S N T D"]) -> Float[Tensor, "S N T D"]:
+def _lateral_from_leader(state: Float[Tensor, "S N T D"]) -> Float[Tensor, "S N T D"]:
+    """The states with y relative to the leader's mean lateral position."""
     shifted = state.clone()
     shifted[..., 1] -= state[:, -1:, :, 1].mean(2, keepdim=True)
     return shifted
 
 
-def _as_long_as(
+def _with_vehicle_length(
     length: float, state: Float[Tensor, "S N T D"], lengths: Float[Tensor, "S N"]
 ) -> Float[Tensor, "S N T D"]:
-    """x shifted so that every vehicle ahead counts as so long [m], from the rear to the front at step 0."""
+    """The states with x shifted so that net gaps stay the same when every vehicle is `length` [m] long.
+
+    `lengths` are the recorded vehicle lengths [m]. Vehicles are shifted in their order along the road at step 0.
+    """
     shifted, order = state.clone(), state[:, :, 0, 0].argsort(1)
     offsets = (length - lengths.gather(1, order))[:, 1:].cumsum(1)
     offsets = torch.cat([torch.zeros_like(offsets[:, :1]), offsets], 1)
@@ -93,8 +107,8 @@ def _as_long_as(
     return shifted
 
 
-def _from_origin(state: Float[Tensor, "S N T D"]) -> Float[Tensor, "S N T D"]:
-    """x counted from where vehicle 0 starts."""
+def _from_start_of_vehicle_0(state: Float[Tensor, "S N T D"]) -> Float[Tensor, "S N T D"]:
+    """The states with x relative to the start of vehicle 0."""
     shifted = state.clone()
     shifted[..., 0] -= state[:, :1, :1, 0]
     return shifted

@@ -1,4 +1,4 @@
-"""Scenes of a configuration: made once by the expert, then read from a file."""
+"""The scenes of a configuration. Synthetic ones are made once and kept in a file; others are read from scene files."""
 
 import hashlib
 import os
@@ -13,7 +13,7 @@ import numpy as np
 import torch
 
 from gri.core.scenes import Scenes
-from gri.data.mixture import mixed
+from gri.data.mixture import mix_scenes
 from gri.data.ranges.car_following import RANGES, GraphShare
 from gri.data.ranges.highway_merge import HIGHWAY_MERGE, HighwayMergeRange
 from gri.data.ranges.lane_changing import LANE_CHANGING_SCENES
@@ -28,50 +28,51 @@ _SYNTHETIC: dict[str, Range] = {**RANGES, "lane_changing": LANE_CHANGING_SCENES,
 
 
 class DataConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Which scenes; of synthetic ones also how many, from which seed. Recorded ones come with their splits."""
+    """Which scenes to use; for synthetic ones also their number and seed. Scene files contain their splits."""
 
     range: Literal[
         "paper", "us101", "lane_changing", "highway_merge",
         "ngsim_car_following", "ngsim_lane_changing", "sumo_car_following", "sumo_merge",
     ]  # fmt: skip
     graphs: Literal["one", "mixed"]
-    """The paper's one true graph for all scenes, or several of which that one is the most frequent."""
+    """`one`: the paper's true graph in all scenes. `mixed`: several graphs, of which that one is the most frequent."""
     train: int = 2000
     validation: int = 200
     test: int = 200
     seed: int = 0
     expert_updates: int = 1500
     action_noise: float = 0.0
-    """Standard deviation [m/s³] of independent noise on the expert's jerk."""
+    """Standard deviation of independent noise on the expert's jerk [m/s³]."""
     files: tuple[str, ...] | msgspec.UnsetType = msgspec.UNSET
-    """Scene files of recorded scenes, of traffic and of SUMO as they fit; left out: the one in the scenes folder.
+    """Scene files from recorded traffic or SUMO. Without them, the file in the folder of scenes is read.
 
-    Synthetic ranges that are like SUMO's scenes (us101, highway_merge) are mixed with the files', split by split.
+    With the synthetic ranges us101 and highway_merge, the scenes of the files follow the synthetic ones in each split.
     """
 
     @property
     def recorded(self) -> RecordedRange | None:
-        """What recorded scenes have in common; None for synthetic ones."""
+        """The range of the scenes if they come from scene files; None for synthetic ones."""
         return RECORDED.get(self.range)
 
     @property
-    def tested_on(self) -> RecordedRange | None:
-        """As what a model of these scenes reads a scene file; None where none fits."""
+    def scene_file_range(self) -> RecordedRange | None:
+        """The range by which a model for these scenes reads scene files; None if it can read none."""
         return self.recorded or {"us101": SUMO_CAR_FOLLOWING, "highway_merge": SUMO_MERGE}.get(self.range)
 
     @property
     def scene_range(self) -> Range:
-        """What synthetic scenes have in common."""
+        """The range of synthetic scenes. Errors: KeyError if the scenes come from scene files."""
         return _SYNTHETIC[self.range]
 
     @property
     def shares(self) -> tuple[GraphShare, ...]:
+        """The true graphs of synthetic scenes, with their shares."""
         return self.scene_range.mixed_graphs if self.graphs == "mixed" else self.scene_range.one_graph
 
 
 @dataclass(frozen=True)
 class Splits:
-    """Fixed parts of a data set."""
+    """The training, validation and test scenes of a data set."""
 
     train: Scenes
     validation: Scenes
@@ -79,54 +80,59 @@ class Splits:
 
 
 def scenes_path(config: DataConfig, folder: Path) -> Path:
-    """Where the scenes of a configuration are kept; the name changes with anything synthetic ones depend on.
+    """The file in `folder` that contains the scenes of a configuration.
 
-    Recorded ones are in the file that `gri ngsim scenes` or `cosim scenes` writes.
+    For synthetic scenes, the name contains a hash of everything that they depend on. For others, it is the file that
+    `gri ngsim scenes` or `cosim scenes` writes by default.
     """
     if config.recorded is not None:
         return folder / f"{config.range.partition('_')[0]}.parquet"
-    alone = msgspec.structs.replace(config, files=msgspec.UNSET)
-    content = msgspec.json.encode([alone, config.scene_range, config.shares])
+    synthetic = msgspec.structs.replace(config, files=msgspec.UNSET)
+    content = msgspec.json.encode([synthetic, config.scene_range, config.shares])
     return folder / f"{config.range}-{config.graphs}-{hashlib.sha256(content).hexdigest()[:10]}.npz"
 
 
 def scenes_of(config: DataConfig, folder: Path, progress: Progress = no_progress) -> Splits:
-    """The scenes of a configuration: from their file if it is there, else from a newly trained expert.
+    """The scenes of a configuration, read from their file in `folder`; synthetic ones are made if the file is missing.
 
-    Synthetic ones are followed by those of the files that the configuration names. Errors: `InputError` where a file is
-    not there, or no file is like the range.
+    The scenes of the files that the configuration names follow the synthetic ones in each split.
+
+    Errors: `InputError` if a scene file is missing or unreadable, has an empty split, or does not fit the range.
     """
-    path, files, like = scenes_path(config, folder), [Path(file) for file in config.files or ()], config.tested_on
+    path, files = scenes_path(config, folder), [Path(file) for file in config.files or ()]
+    file_range = config.scene_file_range
     if config.recorded is not None:
         return recorded_splits(config.recorded, files or [path])
-    if files and like is None:
-        raise InputError(f"field data.files: got files beside range {config.range}; us101 and highway_merge take some")
-    if like is not None:
-        _check_there(like, files)
-    scenes = read_scenes(path) if path.is_file() else _made(config, path, progress)
+    if files and file_range is None:
+        raise InputError(
+            f"field data.files: got files beside range {config.range}, wanted range us101 or highway_merge, or no files"
+        )
+    if file_range is not None:
+        _check_files_exist(file_range, files)
+    scenes = read_scenes(path) if path.is_file() else _make_scenes(config, path, progress)
     parts = torch.arange(len(scenes)).split([config.train, config.validation, config.test])
     splits = Splits(*(scenes[part] for part in parts))
-    if like is None or not files:
+    if file_range is None or not files:
         return splits
-    filed = recorded_splits(like, files)
-    return Splits(*(mixed(part, vars(filed)[name]) for name, part in vars(splits).items()))
+    from_files = recorded_splits(file_range, files)
+    return Splits(*(mix_scenes(part, vars(from_files)[name]) for name, part in vars(splits).items()))
 
 
 def recorded_splits(scenes: RecordedRange, paths: Sequence[Path]) -> Splits:
-    """The splits of scene files. Errors: `InputError` where one is not there, or a split is empty."""
-    _check_there(scenes, paths)
+    """The splits of scene files. Errors: `InputError` if a file is missing or unreadable, or a split is empty."""
+    _check_files_exist(scenes, paths)
     parts = (recorded_scenes(paths, scenes, split)[0] for split in ("train", "validation", "test"))
     return Splits(*parts)
 
 
-def _check_there(scenes: RecordedRange, paths: Sequence[Path]) -> None:
+def _check_files_exist(scenes: RecordedRange, paths: Sequence[Path]) -> None:
     for path in paths:
         if not path.is_file():
             command = "cosim scenes SCENARIO" if scenes.name.startswith("sumo") else "gri ngsim scenes FILE..."
             raise InputError(f"{path}: no such scene file; make one with `{command} --out ...`")
 
 
-def _made(config: DataConfig, path: Path, progress: Progress) -> Scenes:
+def _make_scenes(config: DataConfig, path: Path, progress: Progress) -> Scenes:
     scenes, shares = config.scene_range, config.shares
     count = config.train + config.validation + config.test
     if isinstance(scenes, HighwayMergeRange):
@@ -139,9 +145,9 @@ def _made(config: DataConfig, path: Path, progress: Progress) -> Scenes:
 
 
 def write_scenes(path: Path, scenes: Scenes) -> None:
-    """Write scenes as arrays `state`, `action`, `graph` and, if there is one, `history`.
+    """Write scenes to an .npz file with the arrays `state`, `action`, `graph` and, if they have one, `history`.
 
-    The file appears whole or not at all.
+    The file is complete or it does not exist: a temporary file is renamed at the end.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_suffix(f".{os.getpid()}.part")
@@ -154,12 +160,12 @@ def write_scenes(path: Path, scenes: Scenes) -> None:
 
 
 def read_scenes(path: Path) -> Scenes:
-    """Scenes of a file written by `write_scenes`."""
+    """The scenes of a file written by `write_scenes`. Errors: `InputError` if it is another file, or damaged."""
     try:
         with path.open("rb") as file, np.load(file) as arrays:
             names = [name for name in ("state", "action", "graph", "history") if name != "history" or name in arrays]
             return Scenes(*(torch.from_numpy(arrays[name]) for name in names))
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise InputError(
-            f"{path}: not a scenes file, or damaged ({error}); delete it, it will be made again"
+            f"{path}: not a file of scenes, or damaged ({error}); delete it, then it is made again"
         ) from error

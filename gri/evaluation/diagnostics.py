@@ -128,7 +128,7 @@ def optimal_change(
     effects = []
     for kind in (flip.before, flip.after):
         types = flipped(scenes.graph[:1], flip, true.vocabulary.index(kind))[0]
-        effects.append(_effect(flip, _with_optimum(scenes, types, flip.receiver, true, dynamics, dt), dynamics))
+        effects.append(_effect(flip, _with_best_response(scenes, types, flip.receiver, true, dynamics, dt), dynamics))
     return effects[1] - effects[0]
 
 
@@ -139,7 +139,7 @@ def flipped(graph: Int[Tensor, "S E"], flip: Flip, kind: int) -> Int[Tensor, "S 
     return types
 
 
-def _with_optimum(
+def _with_best_response(
     scenes: Scenes, types: Int[Tensor, " E"], vehicle: int, true: StructuredReward, dynamics: Dynamics, dt: float
 ) -> Float[Tensor, "S N T D"]:
     n = scenes.state.shape[1]

@@ -44,7 +44,7 @@ def evaluate(model: RelationalModel, scenes: Scenes) -> Evaluation:
     return Evaluation(
         rmse={
             name: metrics.summary(metrics.rmse(driven.state, scenes.state, place))
-            for name, place in features(model.dynamics).items()
+            for name, place in scored_features(model.dynamics).items()
         },
         accuracy=metrics.summary(metrics.accuracy(graph.map, scenes.graph)),
         driven_accuracy=metrics.summary(metrics.driven_accuracy(graph.map, scenes.graph)),
@@ -54,7 +54,7 @@ def evaluate(model: RelationalModel, scenes: Scenes) -> Evaluation:
     )
 
 
-def features(dynamics: Dynamics) -> dict[str, int]:
+def scored_features(dynamics: Dynamics) -> dict[str, int]:
     """Places of what the tables score: x, y where there is one, and the speed v."""
     return {name: dynamics.index(name) for name in ("x", "y") if name in dynamics.state} | {"v": dynamics.speed}
 

@@ -52,7 +52,7 @@ class Protocol:
 
 
 @dataclass(frozen=True)
-class Point:
+class HeadwayScore:
     """One headway of one curve."""
 
     headway: float
@@ -67,7 +67,7 @@ Drive = Callable[[Tensor, Front], Tensor]
 """(starts [B, 2, D], who drives vehicle 1) -> states [B, 2, T+1, D]."""
 
 
-def curve(drive: Drive, starts: Float[Tensor, "B 2 D"], protocol: Protocol, dynamics: Dynamics) -> list[Point]:
+def curve(drive: Drive, starts: Float[Tensor, "B 2 D"], protocol: Protocol, dynamics: Dynamics) -> list[HeadwayScore]:
     """All points, for both ways to drive vehicle 1, always from the same starts but for Δx."""
     points = []
     for front in Front:
@@ -79,14 +79,14 @@ def curve(drive: Drive, starts: Float[Tensor, "B 2 D"], protocol: Protocol, dyna
 
 def score(
     state: Float[Tensor, "B 2 T D"], headway: float, front: Front, protocol: Protocol, dynamics: Dynamics
-) -> Point:
+) -> HeadwayScore:
     """Success, collision and Δy of one set of trajectories."""
     places = [dynamics.index(name) for name in ("x", "y") if name in dynamics.state]
     distance = (state[:, 1] - state[:, 0])[..., places].norm(dim=-1)
     apart = state.new_zeros(state.shape[0], state.shape[2])
     if "y" in dynamics.state:
         apart = (state[:, 1] - state[:, 0])[..., dynamics.index("y")].abs()
-    return Point(
+    return HeadwayScore(
         headway=headway,
         front=front,
         success=metrics.proportion(metrics.success(state[:, :, -1], protocol.final_headway)),
@@ -95,7 +95,7 @@ def score(
     )
 
 
-def keep(start: Float[Tensor, "B N D"], kept: tuple[int, int]) -> Float[Tensor, "B 2 D"]:
+def remaining_pair(start: Float[Tensor, "B N D"], kept: tuple[int, int]) -> Float[Tensor, "B 2 D"]:
     """The two vehicles that remain; the followed one is renumbered 1."""
     return start[:, list(kept)]
 
@@ -107,20 +107,20 @@ def at_headway(start: Float[Tensor, "B 2 D"], headway: float) -> Float[Tensor, "
     return moved
 
 
-def driver(model: RelationalModel, types: Int[Tensor, " 2"], steps: int) -> Drive:
+def drive_by_policy(model: RelationalModel, types: Int[Tensor, " 2"], steps: int) -> Drive:
     """Drive by mean actions under a forced graph over the two ordered pairs (0 → 1, 1 → 0)."""
 
     @torch.no_grad()
     def drive(start: Tensor, front: Front) -> Tensor:
         graph = InteractionGraph.certain(types.expand(len(start), 2), model.config.vocabulary).one_hot
         if front is Front.POLICY:
-            return free_rollout(model, start, graph, steps)
+            return rollout_without_leader(model, start, graph, steps)
         return rollout(model, start, graph, constant_speed(start[:, 1], steps, model.dynamics, model.dt)).state
 
     return drive
 
 
-def free_rollout(
+def rollout_without_leader(
     model: RelationalModel, start: Float[Tensor, "B N D"], graph: Float[Tensor, "B E K"], steps: int
 ) -> Float[Tensor, "B N T D"]:
     """States when the policy drives all vehicles, the last one as well, for `steps` actions."""
@@ -132,7 +132,7 @@ def free_rollout(
     return torch.stack(states, 2)
 
 
-def oracle(reward: StructuredReward, dynamics: Dynamics, dt: float, steps: int) -> Drive:
+def drive_optimally(reward: StructuredReward, dynamics: Dynamics, dt: float, steps: int) -> Drive:
     """The open-loop optimum of the true reward; a vehicle 1 that is driven has its own optimum first."""
     follow = reward.vocabulary.index(EdgeType.FOLLOW)
 
@@ -158,12 +158,12 @@ def modal_edges(inferred: Int[Tensor, "S E"], kept: tuple[int, int], vehicles: i
     return torch.stack([inferred[:, edge].mode().values for edge in order])
 
 
-def area(points: Sequence[Point], front: Front) -> float:
+def area(points: Sequence[HeadwayScore], front: Front) -> float:
     """Area under the success curve over the tested headways, as a share of the largest possible one."""
-    return trapezoid([(p.headway, p.success.mean) for p in points if p.front is front])
+    return mean_height([(p.headway, p.success.mean) for p in points if p.front is front])
 
 
-def trapezoid(points: Sequence[tuple[float, float]]) -> float:
+def mean_height(points: Sequence[tuple[float, float]]) -> float:
     """Mean height of a curve over its range, by the trapezoidal rule."""
     ordered = sorted(points)
     total = sum((b[0] - a[0]) * (a[1] + b[1]) / 2 for a, b in pairwise(ordered))

@@ -1,4 +1,4 @@
-"""Train one model from one configuration."""
+"""Training one model from one configuration."""
 
 import time
 from dataclasses import dataclass
@@ -21,7 +21,7 @@ from gri.networks.model import Edge, ModelConfig, RelationalModel
 from gri.progress import Progress, no_progress
 from gri.rewards.structured import ShapedReward, StructuredReward
 from gri.rewards.unstructured import NetworkReward
-from gri.training.adversarial.airl import AdversarialSettings, in_the_game, train_adversarial
+from gri.training.adversarial.airl import AdversarialSettings, train_adversarial, with_fixed_rationality
 from gri.training.baselines.nri import NriSettings, train_nri
 from gri.training.baselines.supervised import SupervisedSettings, train_supervised
 from gri.training.grounded.labelled_encoder import LabelledEncoderSettings, train_labelled_encoder
@@ -40,19 +40,19 @@ Objective = (
 
 
 class TrainConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A model, the scenes it learns from, and the objective it is trained by."""
+    """A model, its scenes, and its training objective."""
 
     name: str
     data: DataConfig
     objective: Objective
     decoder: DecoderConfig = DecoderConfig()
     encoder: EncoderConfig = EncoderConfig()
-    """Not used by objectives that infer no graph."""
+    """Not used by objectives that do not infer graphs."""
 
 
 @dataclass(frozen=True)
 class Trained:
-    """A trained model, the reward it was grounded in if any, and how it came about."""
+    """A trained model, the reward it was grounded in (None without one), and its provenance for the checkpoint."""
 
     model: RelationalModel
     reward: StructuredReward | None
@@ -60,48 +60,56 @@ class Trained:
 
 
 def read_train_config(path: Path | str) -> TrainConfig:
-    """The training configuration of a YAML file."""
+    """The training configuration of a YAML file.
+
+    Errors: `InputError` if the file cannot be read, a field is unknown or has a wrong value, or a setting of the
+    adversarial objective has no effect with the others.
+    """
     config = read_yaml(path, TrainConfig)
     for field in ("train", "validation", "test"):
         if getattr(config.data, field) < 1:
             raise InputError(f"{path}: field data.{field}: got {getattr(config.data, field)}, wanted 1 or more scenes")
     if isinstance(config.objective, AdversarialSettings):
-        _check_game(path, config.objective)
+        _check_adversarial(path, config.objective)
     return config
 
 
-def _check_game(path: Path | str, game: AdversarialSettings) -> None:
-    """Errors: `InputError` for settings that the other settings leave without an effect."""
-    for field, wanted, kept in (
-        ("start", "semantic and inferred ones", (game.rewards, game.relations) == ("semantic", "inferred")),
-        ("weights", "semantic ones, whose terms have names", game.rewards == "semantic"),
+def _check_adversarial(path: Path | str, settings: AdversarialSettings) -> None:
+    """Errors: `InputError` for settings that have no effect with the other settings."""
+    semantic, inferred = settings.rewards == "semantic", settings.relations == "inferred"
+    for field, wanted, effective in (
+        ("start", "semantic rewards and inferred relations", semantic and inferred),
+        ("weights", "semantic rewards, whose terms have names", semantic),
     ):
-        if getattr(game, field) and not kept:
-            got = f"rewards: {game.rewards} and relations: {game.relations}"
+        if getattr(settings, field) and not effective:
+            got = f"rewards: {settings.rewards} and relations: {settings.relations}"
             raise InputError(f"{path}: field objective.{field}: got {got}, wanted {wanted}; leave it out")
 
 
 def model_config(config: TrainConfig) -> ModelConfig:
-    """The model that goes with the scenes of a configuration."""
-    told = isinstance(config.objective, SupervisedSettings)
+    """The configuration of the model for the scenes and the objective of `config`."""
+    supervised = isinstance(config.objective, SupervisedSettings)
     all_alike = isinstance(config.objective, AdversarialSettings) and config.objective.relations == "all_alike"
-    fitting = expert.model_config(
+    chosen = expert.model_config(
         config.data.recorded or config.data.scene_range,
         config.decoder,
-        encoder=None if told or all_alike else config.encoder,
-        graph=_all_alike(3) if all_alike else None,
+        encoder=None if supervised or all_alike else config.encoder,
+        graph=_uniform_graph(3) if all_alike else None,
     )
-    return msgspec.structs.replace(fitting, told_graph=told)
+    return msgspec.structs.replace(chosen, told_graph=supervised)
 
 
-def _all_alike(vehicles: int) -> tuple[Edge, ...]:
-    """Every pair related in the same way; the type's name means nothing."""
+def _uniform_graph(vehicles: int) -> tuple[Edge, ...]:
+    """A graph with the same type for all ordered pairs. The type's name has no meaning here."""
     return tuple(Edge(sender=i, receiver=j, type=EdgeType.FOLLOW) for i, j in pairs(vehicles))
 
 
 def train(config: TrainConfig, splits: Splits, seed: int, progress: Progress = no_progress) -> Trained:
-    """Train from scratch; the same configuration, scenes, seed and versions give the same model."""
-    began = time.monotonic(), time.process_time()
+    """Train a new model. The same configuration, scenes, seed and versions give the same model.
+
+    `progress` is called after every update.
+    """
+    started = time.monotonic(), time.process_time()
     torch.manual_seed(seed)
     model = RelationalModel(model_config(config))
     scenes = config.data.recorded or config.data.scene_range
@@ -124,19 +132,19 @@ def train(config: TrainConfig, splits: Splits, seed: int, progress: Progress = n
             networks = NetworkReward(scenes.scale, model.config.vocabulary)
             train_adversarial(model, ShapedReward(networks, scenes.scale), splits.train, settings, seed, progress)
         case AdversarialSettings() as settings:
-            reward = StructuredReward.with_weights(in_the_game(scenes.reward), settings.weights or {})
+            reward = StructuredReward.with_weights(with_fixed_rationality(scenes.reward), settings.weights or {})
             train_adversarial(model, ShapedReward(reward, scenes.scale), splits.train, settings, seed, progress)
-    return Trained(model.requires_grad_(False).eval(), reward, _provenance(config, seed, began, model, splits))
+    return Trained(model.requires_grad_(False).eval(), reward, _provenance(config, seed, started, model, splits))
 
 
 def _provenance(
-    config: TrainConfig, seed: int, began: tuple[float, float], model: RelationalModel, splits: Splits
+    config: TrainConfig, seed: int, started: tuple[float, float], model: RelationalModel, splits: Splits
 ) -> dict[str, Any]:
     return {
         "config": msgspec.to_builtins(config),
         "seed": seed,
-        "seconds": round(time.monotonic() - began[0], 1),
-        "cpu_seconds": round(time.process_time() - began[1], 1),
+        "seconds": round(time.monotonic() - started[0], 1),
+        "cpu_seconds": round(time.process_time() - started[1], 1),
         "versions": {"gri-cosim": version("gri-cosim"), "torch": str(torch.__version__)},
         "validation": msgspec.to_builtins(evaluate(model, splits.validation)),
     }

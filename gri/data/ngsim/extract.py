@@ -1,4 +1,4 @@
-"""From NGSIM files to a scene file."""
+"""Extracting scenes from NGSIM files into a scene file."""
 
 import hashlib
 import tempfile
@@ -13,11 +13,11 @@ from typing import Literal
 import msgspec
 import numpy as np
 
-from gri.data.ngsim import drawn_lane_changes
-from gri.data.ngsim.car_following import triples
+from gri.data.ngsim import sampled_lateral_motion
+from gri.data.ngsim.car_following import car_following_triples
 from gri.data.ngsim.columns import FRAME
 from gri.data.ngsim.defects import Quality, clean
-from gri.data.ngsim.lane_changing import GRAPHS, Reading, groups
+from gri.data.ngsim.lane_changing import HYPOTHESISED_GRAPHS, Hypothesis, lane_change_groups
 from gri.data.ngsim.recordings import Recording, store_recordings
 from gri.data.ngsim.rules import FREEWAYS, Rules, splits_of
 from gri.data.ngsim.smoothing import Motion, smoothed
@@ -27,25 +27,30 @@ from gri.networks.model import CHAIN, Edge
 from gri.progress import Progress, no_progress
 
 Kind = Literal["car_following", "lane_changing_h1", "lane_changing_h2"]
-READINGS: dict[Kind, Reading] = {"lane_changing_h1": "H1", "lane_changing_h2": "H2"}
-KINDS: tuple[Kind, ...] = ("car_following", *READINGS)
+HYPOTHESES: dict[Kind, Hypothesis] = {"lane_changing_h1": "H1", "lane_changing_h2": "H2"}
+KINDS: tuple[Kind, ...] = ("car_following", *HYPOTHESES)
 
 
 @dataclass(frozen=True)
 class Extracted:
-    """How many scenes came out, and why candidates were turned down."""
+    """Number of scenes extracted, and of candidates rejected."""
 
     scenes: Counter[tuple[str, str, str]]
-    """By (site, kind, split)."""
+    """Number of scenes by (site, kind, split)."""
     rejected: Counter[tuple[str, str]]
-    """By (kind, reason)."""
+    """Number of rejected candidates by (kind, reason)."""
     reports: tuple[Quality, ...]
+    """Data report of each recording."""
 
 
 def inspect(
     path: Path, site: str | None = None, progress: Progress = no_progress
 ) -> tuple[list[Quality], dict[str, int]]:
-    """The data report of every recording of a file, and how many rows of each site could not be read."""
+    """The data report of every recording of a file, and the number of unreadable rows by site.
+
+    `site` overrides the site that the file names. Errors: `InputError` if the file cannot be read (`store_recordings`)
+    or its units are not feet and seconds (`clean`).
+    """
     with tempfile.TemporaryDirectory(prefix="gri-ngsim-") as folder:
         store = store_recordings(path, Path(folder), site, progress)
         return [clean(recording)[1] for recording in store], dict(store.unreadable)
@@ -59,19 +64,25 @@ def extract(
     site: str | None = None,
     progress: Progress = no_progress,
 ) -> Extracted:
-    """Write all scenes of the files; the same files, rules and versions give the same bytes."""
+    """Write the scenes of the files to the scene file `out`. The same files, rules and versions give the same bytes.
+
+    `kinds` are the kinds of scenes wanted; `site` overrides the site that the files name.
+
+    Errors: `InputError` if a file cannot be read, its units are not feet and seconds, or no scene obeys the rules.
+    """
     scenes: Counter[tuple[str, str, str]] = Counter()
     rejected: Counter[tuple[str, str]] = Counter()
     reports: list[Quality] = []
 
-    def cut(recording: Recording, write: Callable[[SceneBlock], None]) -> None:
-        """All scenes of one recording; nothing of it stays in memory for the next."""
-        motion, quality = _motion(recording, rules, rejected)
+    def extract_recording(recording: Recording, write: Callable[[SceneBlock], None]) -> None:
+        """Write all scenes of one recording. A function of its own, so that its arrays are freed before the next."""
+        motion, quality = _smoothed_motion(recording, rules, rejected)
         reports.append(quality)
         for kind in kinds if motion is not None else ():
             assert motion is not None
             for part in chain(
-                _scenes(kind, recording, motion, rules, rejected), _drawn(kind, recording, motion, rules)
+                _recorded_scenes(kind, recording, motion, rules, rejected),
+                _scenes_with_sampled_lateral_motion(kind, recording, motion, rules),
             ):
                 write(part)
                 scenes.update((str(part.source[0]), kind, str(split)) for split in part.split)
@@ -81,16 +92,18 @@ def extract(
             with tempfile.TemporaryDirectory(prefix="gri-ngsim-") as folder:
                 store = store_recordings(path, Path(folder), site, progress)
                 for done, recording in enumerate(store):
-                    cut(recording, write)
-                    progress(f"cutting {path.name}", done + 1, len(store.keys), float(scenes.total()))
+                    extract_recording(recording, write)
+                    progress(f"cutting {path.name}", done + 1, len(store.row_counts), float(scenes.total()))
         if not scenes:
-            raise InputError(f"{', '.join(map(str, paths))}: no scene keeps the rules; see `gri ngsim inspect`")
+            raise InputError(f"{', '.join(map(str, paths))}: no scene obeys the rules; see `gri ngsim inspect`")
     return Extracted(scenes, rejected, tuple(reports))
 
 
 def scene_file(source: Path, folder: Path, progress: Progress = no_progress) -> Path:
-    """A scene file as it is, or the one cut from an NGSIM file or a folder of them, kept under a name that says the
-    rules. Errors: `InputError` where there is neither.
+    """The path of a scene file: `source` itself, or one extracted from NGSIM files.
+
+    `source` may be a scene file, an NGSIM file, or a folder of NGSIM files. A newly extracted file is kept in `folder`
+    under a name that depends on the files and the rules. Errors: `InputError` if `source` is none of these.
     """
     if source.suffix == ".parquet":
         header_of(source)
@@ -99,14 +112,18 @@ def scene_file(source: Path, folder: Path, progress: Progress = no_progress) -> 
     files = [p for p in found if p.name.lower().endswith((".txt", ".csv", ".gz", ".zip"))]
     if not files:
         raise InputError(f"{source}: got no NGSIM files (.txt, .csv, .gz, .zip) and no scene file; give either")
-    key = msgspec.json.encode([[(p.name, p.stat().st_size) for p in files], Rules(), drawn_lane_changes.OFFSET])
+    key = msgspec.json.encode(
+        [[(p.name, p.stat().st_size) for p in files], Rules(), sampled_lateral_motion.LANE_OFFSET_STD]
+    )
     path = folder / f"ngsim-{hashlib.sha256(key).hexdigest()[:10]}.parquet"
     if not path.is_file():
         extract(files, path, Rules(), progress=progress)
     return path
 
 
-def _motion(recording: Recording, rules: Rules, rejected: Counter[tuple[str, str]]) -> tuple[Motion | None, Quality]:
+def _smoothed_motion(
+    recording: Recording, rules: Rules, rejected: Counter[tuple[str, str]]
+) -> tuple[Motion | None, Quality]:
     tracks, quality = clean(recording)
     if recording.site not in FREEWAYS and recording.site in ("lankershim", "peachtree"):
         rejected["all", f"recording of {recording.site}, a city street"] += 1
@@ -114,46 +131,52 @@ def _motion(recording: Recording, rules: Rules, rejected: Counter[tuple[str, str
     return smoothed(tracks, rules.smoothing), quality
 
 
-def _scenes(
+def _recorded_scenes(
     kind: Kind, recording: Recording, motion: Motion, rules: Rules, rejected: Counter[tuple[str, str]]
 ) -> Iterator[SceneBlock]:
-    """Recorded scenes of a kind."""
+    """The recorded scenes of a kind."""
     counts: Counter[str] = Counter()
-    if reading := READINGS.get(kind):
-        rows, graph = groups(motion, rules, reading, counts), GRAPHS[reading]
+    if hypothesis := HYPOTHESES.get(kind):
+        rows, graph = lane_change_groups(motion, rules, hypothesis, counts), HYPOTHESISED_GRAPHS[hypothesis]
     else:
-        rows, graph = triples(motion, rules, counts), CHAIN
+        rows, graph = car_following_triples(motion, rules, counts), CHAIN
     rejected.update({(kind, reason): count for reason, count in counts.items()})
-    for some in _few(rows):
-        yield _block(kind, recording, motion, some, graph, rules)
+    for batch in _batches(rows):
+        yield _block(kind, recording, motion, batch, graph, rules)
 
 
-def _drawn(kind: Kind, recording: Recording, motion: Motion, rules: Rules) -> Iterator[SceneBlock]:
-    """Lane changes whose lateral motion is drawn, of vehicles that are not for testing."""
-    reading = READINGS.get(kind)
-    if reading is None:
+def _scenes_with_sampled_lateral_motion(
+    kind: Kind, recording: Recording, motion: Motion, rules: Rules
+) -> Iterator[SceneBlock]:
+    """Lane changes with sampled lateral motion, of vehicles that are not for testing (`sampled_lateral_motion`)."""
+    hypothesis = HYPOTHESES.get(kind)
+    if hypothesis is None:
         return
-    rows = triples(motion, msgspec.structs.replace(rules, following_steps=rules.changing_steps), Counter())
-    rows = rows[splits_of(motion.vehicle[rows[:, 0, 0]], rules) != "test"][:, list(drawn_lane_changes.PLACES[reading])]
-    generator = np.random.default_rng([rules.seed, recording.clock % 2**32, int(reading[1])])
+    rows = car_following_triples(
+        motion, msgspec.structs.replace(rules, following_steps=rules.changing_steps), Counter()
+    )
+    rows = rows[splits_of(motion.vehicle[rows[:, 0, 0]], rules) != "test"][
+        :, list(sampled_lateral_motion.VEHICLE_ORDER[hypothesis])
+    ]
+    generator = np.random.default_rng([rules.seed, recording.clock % 2**32, int(hypothesis[1])])
     for _ in range(rules.drawn):
-        for some in _few(rows):
-            block = _block(kind, recording, motion, some, GRAPHS[reading], rules, ("x",))
-            across = drawn_lane_changes.lateral(
-                len(some), rules.changing_steps, rules.smoothing.dt, rules.crossing, generator
+        for batch in _batches(rows):
+            block = _block(kind, recording, motion, batch, HYPOTHESISED_GRAPHS[hypothesis], rules, ("x",))
+            lateral = sampled_lateral_motion.sample_lateral_motion(
+                len(batch), rules.changing_steps, rules.smoothing.dt, rules.crossing, generator
             )
-            source = np.full(len(some), recording.site + drawn_lane_changes.MARK, object)
-            single = {name: values.astype(np.float32) for name, values in across.items()}
-            yield replace(block, source=source, features={**block.features, **single})
+            source = np.full(len(batch), recording.site + sampled_lateral_motion.SOURCE_SUFFIX, object)
+            lateral_features = {name: values.astype(np.float32) for name, values in lateral.items()}
+            yield replace(block, source=source, features={**block.features, **lateral_features})
 
 
-AT_ONCE = 10_000
-"""Scenes held in memory: a period has a hundred thousand."""
+SCENES_PER_BLOCK = 10_000
+"""Scenes held in memory at once; a recording period has a hundred thousand."""
 
 
-def _few(rows: np.ndarray) -> Iterator[np.ndarray]:
-    """The rows of up to `AT_ONCE` scenes at a time; nothing where there are none."""
-    return (rows[start : start + AT_ONCE] for start in range(0, len(rows), AT_ONCE))
+def _batches(rows: np.ndarray) -> Iterator[np.ndarray]:
+    """The rows [S, 3, T] in parts of up to `SCENES_PER_BLOCK` scenes."""
+    return (rows[start : start + SCENES_PER_BLOCK] for start in range(0, len(rows), SCENES_PER_BLOCK))
 
 
 def _block(
@@ -165,11 +188,11 @@ def _block(
     rules: Rules,
     axes: Sequence[str] = ("x", "y"),
 ) -> SceneBlock:
-    """Scenes of rows [S, 3, T], in single precision, as in the file."""
+    """Scenes of the rows [S, 3, T] in single precision, as in the file, with the recorded motion along `axes`."""
     recorded = [axis for axis in axes if axis == "x" or (len(motion) and np.ptp(motion.y) > 0)]
     names = [before + axis for axis in recorded for before in ("", "v", "a")]
     features = {name: getattr(motion, name).astype(np.float32)[rows] for name in names}
-    features |= {"v": features["vx"], "a": features["ax"]}  # along the road: headings were not recorded
+    features |= {"v": features["vx"], "a": features["ax"]}  # along the road, as headings were not recorded
     first = int(recording.rows["frame"].min())
     vehicle = motion.vehicle[rows[:, :, 0]]
     return SceneBlock(
@@ -186,12 +209,12 @@ def _block(
 
 
 def _header(paths: Sequence[Path], rules: Rules, kinds: Sequence[Kind], site: str | None) -> Header:
-    files = [{"name": path.name, "sha256": _hash(path)} for path in paths]
+    files = [{"name": path.name, "sha256": _sha256(path)} for path in paths]
     made = {"files": files, "rules": msgspec.to_builtins(rules), "kinds": list(kinds), "site": site}
     return Header(dt=rules.smoothing.dt, provenance={"made by": f"gri-cosim {version('gri-cosim')}", "ngsim": made})
 
 
-def _hash(path: Path) -> str:
+def _sha256(path: Path) -> str:
     if not path.is_file():
         raise InputError(f"{path}: no such file; give NGSIM trajectory files (.txt, .csv, .gz or .zip)")
     with path.open("rb") as file:

@@ -1,13 +1,15 @@
-"""Lane-changing groups: vehicle 0 changes to the lane next to it, once, among two vehicles that stay in that lane.
+"""Lane-changing groups: vehicle 0 changes once to an adjacent lane, in which vehicles 1 and 2 stay.
 
-Two readings of the paper's hypothesised graph (Sec. VI-D: a vehicle yields to its preceding vehicle in the neighbouring
-lane and follows its preceding vehicle in the same lane; the leader is the last vehicle):
+The paper's hypothesised graph is: a vehicle yields to its preceding vehicle in the adjacent lane, and follows its
+preceding vehicle in the same lane (Sec. VI-D). Vehicle 2 is the leader. The paper does not say which vehicles these
+are, so there are two hypotheses:
 
-- H1: 0 merges behind 1, which follows 2. 1 → 0: yield, 2 → 1: follow.
-- H2: 0 merges between 1, which lags, and 2, which leads. 2 → 0: yield, 0 → 1: yield, 2 → 1: follow.
+- H1: 0 merges behind 1, and 1 follows 2. 1 → 0: yield, 2 → 1: follow.
+- H2: 0 merges between the lag vehicle 1 and the leader 2. 2 → 0: yield, 0 → 1: yield, 2 → 1: follow.
 
-Lanes are read at the first step, as the graph does not change. Partners are the nearest vehicles, at the crossing, that
-are seen in the target lane at all T steps; vehicles that are not seen throughout cannot be partners.
+The graph does not change over time, so the lanes at the first step determine it. Vehicles 1 and 2, the partners, are
+the vehicles nearest to vehicle 0 when it crosses. Only vehicles that are in the target lane at all T steps can be
+partners.
 """
 
 from collections import Counter
@@ -15,85 +17,94 @@ from typing import Literal
 
 import numpy as np
 
-from gri.data.ngsim.rules import Rules, SceneFilter
+from gri.data.ngsim.rules import CandidateScenes, Rules
 from gri.data.ngsim.smoothing import Motion
 from gri.networks.model import MERGE_BEHIND, MERGE_BETWEEN, Edge
 
-Reading = Literal["H1", "H2"]
-GRAPHS: dict[Reading, tuple[Edge, ...]] = {"H1": MERGE_BEHIND, "H2": MERGE_BETWEEN}
+Hypothesis = Literal["H1", "H2"]
+HYPOTHESISED_GRAPHS: dict[Hypothesis, tuple[Edge, ...]] = {"H1": MERGE_BEHIND, "H2": MERGE_BETWEEN}
 
 
-def groups(motion: Motion, rules: Rules, reading: Reading, counts: Counter[str]) -> np.ndarray:
-    """Rows [S, 3, T] of all groups that keep the rules, by changer and time."""
-    spans = np.flatnonzero(np.r_[True, np.diff(motion.track) != 0, True]) if len(motion) else np.zeros(1, int)
+def lane_change_groups(motion: Motion, rules: Rules, hypothesis: Hypothesis, counts: Counter[str]) -> np.ndarray:
+    """Rows [S, 3, T] of `motion` for all groups that obey the rules, ordered by vehicle 0 and time.
+
+    T is `rules.changing_steps`. `counts` gains the number of rejected candidates for each reason.
+    """
+    bounds = np.flatnonzero(np.r_[True, np.diff(motion.track) != 0, True]) if len(motion) else np.zeros(1, int)
     found = []
     for crossing in _crossings(motion).tolist():
-        changer = int(np.searchsorted(spans, crossing, "right")) - 1
-        begins = _begins(motion, spans, changer, crossing, rules)
-        counts["changer not seen for T steps around the crossing"] += not begins
-        for begin in begins:
-            partners = _partners(motion, spans, crossing, begin, rules, reading)
+        changer = int(np.searchsorted(bounds, crossing, "right")) - 1
+        starts = _window_starts(motion, bounds, changer, crossing, rules)
+        counts["changer not seen for T steps around the crossing"] += not starts
+        for start in starts:
+            partners = _partners(motion, bounds, crossing, start, rules, hypothesis)
             counts["no two partners seen throughout"] += partners is None
             if partners is not None:
-                found.append(np.stack([_rows(motion, spans, k, begin, rules) for k in (changer, *partners)]))
+                found.append(np.stack([_rows(motion, bounds, k, start, rules) for k in (changer, *partners)]))
     if len(found) and np.ptp(motion.y) == 0:
         counts["lateral position not recorded"] += len(found)
         found = []
-    sieve = SceneFilter(motion, np.stack(found) if found else np.zeros((0, 3, rules.changing_steps), int), counts)
-    changes = (np.diff(sieve.of("lane")[:, 0], axis=1) != 0).sum(1)
-    sieve.reject("several lane changes", changes != 1)
-    sieve.reject("lanes not next to each other", np.ptp(sieve.of("lane")[:, 0], axis=1) != 1)
-    _close(sieve, rules, reading)
-    sieve.plausible(rules, slice(1, 3))
-    y = sieve.of("y")[:, 0]
-    sieve.reject("changer swerves", np.abs(np.diff(y)).sum(1) - np.abs(y[:, -1] - y[:, 0]) > rules.overshoot)
-    sieve.one_split(rules)
-    return sieve.rows
+    rows = np.stack(found) if found else np.zeros((0, 3, rules.changing_steps), int)
+    candidates = CandidateScenes(motion, rows, counts)
+    changes = (np.diff(candidates.column("lane")[:, 0], axis=1) != 0).sum(1)
+    candidates.reject("several lane changes", changes != 1)
+    candidates.reject("lanes not next to each other", np.ptp(candidates.column("lane")[:, 0], axis=1) != 1)
+    _reject_not_interacting(candidates, rules, hypothesis)
+    candidates.reject_implausible(rules, slice(1, 3))
+    y = candidates.column("y")[:, 0]
+    candidates.reject("changer swerves", np.abs(np.diff(y)).sum(1) - np.abs(y[:, -1] - y[:, 0]) > rules.overshoot)
+    candidates.reject_mixed_splits(rules)
+    return candidates.rows
 
 
-def _close(sieve: SceneFilter, rules: Rules, reading: Reading) -> None:
-    """Interactive, and in the order that the graph speaks of at the first step."""
-    x, lane = sieve.of("x"), sieve.of("lane")[:, 0]
+def _reject_not_interacting(candidates: CandidateScenes, rules: Rules, hypothesis: Hypothesis) -> None:
+    """Reject groups that are far apart, or not in the hypothesis's order along the road at the first step."""
+    x, lane = candidates.column("x"), candidates.column("lane")[:, 0]
     crossing = (lane != lane[:, :1]).argmax(1)
-    when = np.stack([x[:, :, 0], np.take_along_axis(x, crossing[:, None, None], 2)[:, :, 0]], 1)
-    order = [0, 1, 2] if reading == "H1" else [1, 0, 2]
-    headway = np.diff(when[:, :, order], axis=2)  # Shape: (S, first step or crossing, pair)
-    far = (np.abs(headway) >= rules.spacing).any((1, 2))
-    sieve.reject("too far apart", far)
-    sieve.reject("in another order at the first step", (headway[~far, 0] <= 0).any(1))
+    instants = np.stack([x[:, :, 0], np.take_along_axis(x, crossing[:, None, None], 2)[:, :, 0]], 1)
+    order = [0, 1, 2] if hypothesis == "H1" else [1, 0, 2]
+    spacing = np.diff(instants[:, :, order], axis=2)  # Shape: (S, first step or crossing, pair)
+    far = (np.abs(spacing) >= rules.spacing).any((1, 2))
+    candidates.reject("too far apart", far)
+    candidates.reject("in another order at the first step", (spacing[~far, 0] <= 0).any(1))
 
 
 def _crossings(motion: Motion) -> np.ndarray:
-    """Rows at which a vehicle is first seen in another lane."""
+    """Rows at which a vehicle is in another lane than one step before."""
     same = np.r_[False, np.diff(motion.track) == 0]
     return np.flatnonzero(same & np.r_[False, np.diff(motion.lane) != 0])
 
 
-def _begins(motion: Motion, spans: np.ndarray, changer: int, crossing: int, rules: Rules) -> list[int]:
-    """First steps of windows in which the changer is seen: the crossing nearest the middle, and strides from there."""
-    steps, (low, high), at = rules.changing_steps, rules.crossing, int(motion.step[crossing])
-    first = max(int(motion.step[spans[changer]]), at - high)
-    last = min(int(motion.step[spans[changer + 1] - 1]) - steps + 1, at - low)
-    middle, stride = min(max(at - steps // 2, first), last), rules.changing_stride or steps
+def _window_starts(motion: Motion, bounds: np.ndarray, changer: int, crossing: int, rules: Rules) -> list[int]:
+    """First steps of the windows of T steps with the crossing in the range `rules.crossing`; vehicle 0 is in all steps.
+
+    One window has the crossing as near to its middle as possible. The others are multiples of the stride away.
+    """
+    steps, (low, high), crossing_step = rules.changing_steps, rules.crossing, int(motion.step[crossing])
+    first = max(int(motion.step[bounds[changer]]), crossing_step - high)
+    last = min(int(motion.step[bounds[changer + 1] - 1]) - steps + 1, crossing_step - low)
+    middle, stride = min(max(crossing_step - steps // 2, first), last), rules.changing_stride or steps
     return list(range(middle - (middle - first) // stride * stride, last + 1, stride)) if first <= last else []
 
 
 def _partners(
-    motion: Motion, spans: np.ndarray, crossing: int, begin: int, rules: Rules, reading: Reading
+    motion: Motion, bounds: np.ndarray, crossing: int, start: int, rules: Rules, hypothesis: Hypothesis
 ) -> tuple[int, int] | None:
-    """Indices of the tracks of vehicles 1 and 2; None where one is missing."""
-    lane, at = motion.lane[crossing], motion.step[crossing]
-    starts, ends = spans[:-1], spans[1:] - 1
-    seen = (motion.step[starts] <= begin) & (motion.step[ends] >= begin + rules.changing_steps - 1)
-    kept = [k for k in np.flatnonzero(seen) if (motion.lane[_rows(motion, spans, int(k), begin, rules)] == lane).all()]
-    places = np.array([motion.x[starts[k] + at - motion.step[starts[k]]] for k in kept]) - motion.x[crossing]
-    order = [int(kept[i]) for i in np.argsort(places)]
-    behind = int((places <= 0).sum())
-    chosen = order[behind : behind + 2] if reading == "H1" else order[max(behind - 1, 0) : behind + 1]
-    whole = len(chosen) == 2 and (reading == "H1" or behind > 0)
-    return (chosen[0], chosen[1]) if whole else None
+    """Indices of the tracks of vehicles 1 and 2; None if one does not exist."""
+    lane, crossing_step = motion.lane[crossing], motion.step[crossing]
+    first, last = bounds[:-1], bounds[1:] - 1
+    present = (motion.step[first] <= start) & (motion.step[last] >= start + rules.changing_steps - 1)
+    in_lane = [
+        k for k in np.flatnonzero(present) if (motion.lane[_rows(motion, bounds, int(k), start, rules)] == lane).all()
+    ]
+    ahead = np.array([motion.x[first[k] + crossing_step - motion.step[first[k]]] for k in in_lane]) - motion.x[crossing]
+    order = [int(in_lane[i]) for i in np.argsort(ahead)]
+    behind = int((ahead <= 0).sum())
+    chosen = order[behind : behind + 2] if hypothesis == "H1" else order[max(behind - 1, 0) : behind + 1]
+    complete = len(chosen) == 2 and (hypothesis == "H1" or behind > 0)
+    return (chosen[0], chosen[1]) if complete else None
 
 
-def _rows(motion: Motion, spans: np.ndarray, track: int, begin: int, rules: Rules) -> np.ndarray:
-    """Rows of a track's T steps from `begin`."""
-    return spans[track] + begin - motion.step[spans[track]] + np.arange(rules.changing_steps)
+def _rows(motion: Motion, bounds: np.ndarray, track: int, start: int, rules: Rules) -> np.ndarray:
+    """Rows [T] of a track from the step `start` on."""
+    return bounds[track] + start - motion.step[bounds[track]] + np.arange(rules.changing_steps)

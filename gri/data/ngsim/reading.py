@@ -1,7 +1,8 @@
-"""NGSIM files as a stream of tables, whatever their wrapping, so that their size does not matter.
+"""Reading NGSIM files as a stream of tables, so that a file need not fit into memory.
 
-Read are the official whitespace text (18 columns, no header) and comma-separated values with a header, such as the
-data portal's export of all sites; plain, gzip, or zip with one member. Numbers may have thousands separators.
+Two formats are read: the official text (18 columns separated by spaces, no header), and comma-separated values with a
+header, such as the data portal's export of all sites. Files may be plain, gzip, or zip with one member. Numbers may
+have thousands separators.
 """
 
 import gzip
@@ -16,53 +17,55 @@ from typing import Any, BinaryIO, cast
 
 import pandas as pd
 
-from gri.data.ngsim.columns import LOCATION, NEEDED, OFFICIAL, normal
+from gri.data.ngsim.columns import LOCATION_COLUMN, OFFICIAL_COLUMNS, REQUIRED_COLUMNS, canonical_name
 from gri.errors import InputError
 from gri.progress import Progress, no_progress
 
-CHUNK = 250_000  # rows
-FIX = "download the file again, or give one that has the official columns"
+CHUNK = 250_000
+"""Rows of one table at most."""
+_FIX = "download the file again, or give one that has the official columns"
 
 
 @dataclass(frozen=True)
-class Layout:
-    """How a file's text is laid out."""
+class TextLayout:
+    """Column names as in the file, whether the first line is a header, and the separator (a regular expression)."""
 
     names: tuple[str, ...]
     header: bool
     separator: str
 
 
-def chunks(path: Path, progress: Progress = no_progress) -> Iterator[pd.DataFrame]:
-    """Tables of up to `CHUNK` rows with the needed columns as numbers, NaN where a cell was none.
+def read_chunks(path: Path, progress: Progress = no_progress) -> Iterator[pd.DataFrame]:
+    """Tables of up to `CHUNK` rows with the columns `REQUIRED_COLUMNS`, and `location` if the file has it.
 
-    The column `location` is there if the file has it. Errors: `InputError` for a file that is missing, empty, cut
-    short, damaged, or lacks a column.
+    Values are numbers in the file's units; a cell that is not a number becomes NaN.
+
+    Errors: `InputError` if the file is missing, empty, truncated or damaged, or lacks a column.
     """
     if not path.is_file():
         raise InputError(f"{path}: no such file; give an NGSIM trajectory file (.txt, .csv, .gz or .zip)")
     size = path.stat().st_size
     try:
-        with path.open("rb") as raw, _unwrapped(raw, path) as stream:
+        with path.open("rb") as raw, _decompressed(raw, path) as stream:
             text = io.BufferedReader(cast(io.RawIOBase, stream), 1 << 20)
-            layout = _layout(text, path)
+            layout = _detect_layout(text, path)
             done = 0
             for table in _tables(text, layout):
                 done += len(table)
                 progress(f"reading {path.name}", min(raw.tell(), size), size, float(done))
-                yield table.rename(columns=normal)
+                yield table.rename(columns=canonical_name)
             if not done:
-                raise InputError(f"{path}: has no rows; {FIX}")
+                raise InputError(f"{path}: has no rows; {_FIX}")
     except (EOFError, zlib.error, gzip.BadGzipFile, zipfile.BadZipFile) as error:
-        raise InputError(f"{path}: damaged or cut short ({error}); {FIX}") from error
+        raise InputError(f"{path}: damaged or truncated ({error}); {_FIX}") from error
     except pd.errors.ParserError as error:
-        raise InputError(f"{path}: rows of unlike length ({str(error).strip()}); {FIX}") from error
+        raise InputError(f"{path}: rows of different lengths ({str(error).strip()}); {_FIX}") from error
     except UnicodeDecodeError as error:
-        raise InputError(f"{path}: not a text file ({error.reason}); {FIX}") from error
+        raise InputError(f"{path}: not a text file ({error.reason}); {_FIX}") from error
 
 
-def _tables(text: "io.BufferedReader[Any]", layout: Layout) -> Iterator[pd.DataFrame]:
-    wanted = {name for name in layout.names if normal(name) in (*NEEDED, LOCATION)}
+def _tables(text: "io.BufferedReader[Any]", layout: TextLayout) -> Iterator[pd.DataFrame]:
+    wanted = {name for name in layout.names if canonical_name(name) in (*REQUIRED_COLUMNS, LOCATION_COLUMN)}
     reader = pd.read_csv(
         text,
         sep=layout.separator,
@@ -75,17 +78,17 @@ def _tables(text: "io.BufferedReader[Any]", layout: Layout) -> Iterator[pd.DataF
         low_memory=False,
     )
     for table in reader:
-        numbers = [name for name in table.columns if normal(name) != LOCATION]
+        numbers = [name for name in table.columns if canonical_name(name) != LOCATION_COLUMN]
         yield table.assign(**{name: pd.to_numeric(table[name], errors="coerce") for name in numbers})
 
 
 @contextmanager
-def _unwrapped(raw: BinaryIO, path: Path) -> Iterator[BinaryIO]:
-    """The text inside gzip or zip, told by the first bytes, not by the name."""
+def _decompressed(raw: BinaryIO, path: Path) -> Iterator[BinaryIO]:
+    """The text inside gzip or zip, which are recognised by the first bytes, not by the file's name."""
     start = raw.read(4)
     raw.seek(0)
     if not start:
-        raise InputError(f"{path}: is empty; {FIX}")
+        raise InputError(f"{path}: is empty; {_FIX}")
     if start[:2] == b"\x1f\x8b":
         with gzip.GzipFile(fileobj=raw) as stream:
             yield cast(BinaryIO, stream)
@@ -93,23 +96,25 @@ def _unwrapped(raw: BinaryIO, path: Path) -> Iterator[BinaryIO]:
         with zipfile.ZipFile(raw) as archive:
             members = [name for name in archive.namelist() if name.lower().endswith((".txt", ".csv"))]
             if len(members) != 1:
-                found = ", ".join(members[:5]) or "none"
-                raise InputError(f"{path}: got {len(members)} text files in it ({found}), wanted one; unpack it first")
+                names = ", ".join(members[:5]) or "none"
+                raise InputError(f"{path}: got {len(members)} text files in it ({names}), wanted one; unpack it first")
             with archive.open(members[0]) as stream:
                 yield cast(BinaryIO, stream)
     else:
         yield raw
 
 
-def _layout(text: "io.BufferedReader[Any]", path: Path) -> Layout:
+def _detect_layout(text: "io.BufferedReader[Any]", path: Path) -> TextLayout:
     first = text.peek(1 << 16).split(b"\n", 1)[0].decode("utf-8-sig", errors="replace").strip()
     comma = "," in first
     cells = [cell.strip() for cell in (first.split(",") if comma else first.split())]
     header = any(character.isalpha() for character in first.replace("e+", "").replace("E+", ""))
-    if not header and len(cells) != len(OFFICIAL):
-        raise InputError(f"{path}: got {len(cells)} columns and no header, wanted the {len(OFFICIAL)} official; {FIX}")
-    names = tuple(cells) if header else OFFICIAL
-    missing = [name for name in NEEDED if name not in [normal(cell) for cell in names]]
+    if not header and len(cells) != len(OFFICIAL_COLUMNS):
+        raise InputError(
+            f"{path}: got {len(cells)} columns and no header, wanted the {len(OFFICIAL_COLUMNS)} official ones; {_FIX}"
+        )
+    names = tuple(cells) if header else OFFICIAL_COLUMNS
+    missing = [name for name in REQUIRED_COLUMNS if name not in [canonical_name(cell) for cell in names]]
     if missing:
-        raise InputError(f"{path}: column {missing[0]} is missing; {FIX}")
-    return Layout(names, header, "," if comma else r"\s+")
+        raise InputError(f"{path}: column {missing[0]} is missing; {_FIX}")
+    return TextLayout(names, header, "," if comma else r"\s+")

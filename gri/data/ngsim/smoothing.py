@@ -1,14 +1,14 @@
-"""Smooth tracks, and states at the model's rate that obey the model's dynamics exactly.
+"""Smooth tracks, and states at the model's time step that obey the model's dynamics exactly.
 
-Positions at 10 Hz are smoothed by a Savitzky-Golay filter, a polynomial fitted over a sliding window; its derivative
-is the speed. The recorded speeds and accelerations are not used: they were differentiated from noisy positions. At the
-model's rate, with Δt the model's step,
+A Savitzky-Golay filter (a polynomial fitted over a sliding window) smooths the positions at 10 Hz. Its derivative is
+the speed. The recorded speeds and accelerations are not used, because they are derivatives of noisy positions. With the
+model's time step Δt,
 
     a_t = (v_{t+1} − v_t) / Δt,    x_{t+1} = x_t + (v_t + v_{t+1})·Δt/2 = x_t + v_t·Δt + a_t·Δt²/2,
 
-so that `Dynamics.step` leads from every state to the next under the action that `Dynamics.inverse` finds. The constant
-of integration is the one by which x fits the smoothed positions best. Integrated and smoothed positions differ by
-millimetres, at the ends of noisy tracks by up to 0.2 m; `deviation` says by how much. Nobody reverses: below 0, v is 0.
+so that `Dynamics.step` leads from every state to the next with the action that `Dynamics.inverse` returns. The constant
+of integration is the best fit of x to the smoothed positions. Integrated and smoothed positions differ by millimetres,
+and by up to 0.2 m at the ends of noisy tracks (`Motion.deviation`). Vehicles do not reverse: negative speeds become 0.
 """
 
 from dataclasses import dataclass
@@ -24,23 +24,24 @@ from gri.data.ngsim.integration import integrated
 
 
 class Smoothing(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """The filter and the model's rate."""
+    """The filter and the model's time step."""
 
     window: int = 21
-    """Frames of 0.1 s under the filter, odd; longer is smoother, and blunts hard braking."""
+    """Length of the filter's window [frames of 0.1 s], odd. A longer window is smoother but weakens hard braking."""
     order: int = 3
-    """Degree of its polynomial."""
+    """Degree of the filter's polynomial."""
     every: int = 2
-    """The model's step in frames: 2 is 0.2 s."""
+    """The model's time step [frames]; 2 means 0.2 s."""
 
     @property
     def dt(self) -> float:
+        """The model's time step [s]."""
         return self.every * FRAME
 
 
 @dataclass(frozen=True)
 class Motion:
-    """Tracks at the model's rate, by track and step; SI units, one entry per row."""
+    """Tracks at the model's time step in SI units, ordered by track and step. All arrays are [R], one entry per row."""
 
     vehicle: np.ndarray
     track: np.ndarray
@@ -57,14 +58,14 @@ class Motion:
     ax: np.ndarray
     ay: np.ndarray
     deviation: float
-    """Greatest distance between integrated and smoothed positions [m]."""
+    """Largest distance between integrated and smoothed positions [m]."""
 
     def __len__(self) -> int:
         return len(self.track)
 
 
 def smoothed(tracks: Tracks, options: Smoothing) -> Motion:
-    """All tracks of at least a window's length, smoothed, at the model's rate; shorter ones are left out."""
+    """All tracks, smoothed, at the model's time step. Tracks shorter than the filter's window are left out."""
     parts, deviation = [], 0.0
     bounds = np.flatnonzero(np.r_[True, tracks.track[1:] != tracks.track[:-1], True])
     for start, end in pairwise(bounds):
@@ -72,8 +73,8 @@ def smoothed(tracks: Tracks, options: Smoothing) -> Motion:
             continue
         rows = np.arange(start, end)
         kept = rows[tracks.frame[rows] % options.every == 0]
-        along = axis(tracks.x[rows], kept - start, options, least=0.0)
-        aside = axis(tracks.y[rows], kept - start, options)
+        along = smooth_axis(tracks.x[rows], kept - start, options, min_speed=0.0)
+        aside = smooth_axis(tracks.y[rows], kept - start, options)
         deviation = max(deviation, along[3], aside[3])
         parts.append((kept, np.stack([along[0], aside[0], along[1], aside[1], along[2], aside[2]])))
     chosen = np.concatenate([rows for rows, _ in parts]) if parts else np.zeros(0, int)
@@ -91,13 +92,18 @@ def smoothed(tracks: Tracks, options: Smoothing) -> Motion:
     )
 
 
-def axis(
-    position: np.ndarray, kept: np.ndarray, options: Smoothing, least: float = -np.inf
+def smooth_axis(
+    position: np.ndarray, frames: np.ndarray, options: Smoothing, min_speed: float = -np.inf
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Position [m], speed (at least `least`) and acceleration at the kept frames, how far x is off the smooth one."""
+    """Motion along one axis of one track.
+
+    `position` [T] is the position in every frame [m], `frames` [U] the frames wanted, `min_speed` a lower bound [m/s].
+    Returns position [m], speed [m/s] and acceleration [m/s²], each [U], and the largest distance between integrated and
+    smoothed positions [m].
+    """
     smooth, slope = (
-        np.asarray(savgol_filter(position, options.window, options.order, deriv=d, delta=FRAME))[kept] for d in (0, 1)
+        np.asarray(savgol_filter(position, options.window, options.order, deriv=d, delta=FRAME))[frames] for d in (0, 1)
     )
-    v = slope.clip(least)
+    v = slope.clip(min_speed)
     x, a = integrated(v, smooth, options.dt)
     return x, v, a, float(np.abs(x - smooth).max())

@@ -1,4 +1,4 @@
-"""Reading scene files (`gri.data.scene_file.schema`) for models."""
+"""Reading scene files (`gri.data.scene_file.schema`) as tensors for models."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -19,19 +19,24 @@ from gri.errors import InputError
 
 @dataclass(frozen=True)
 class Recorded:
-    """Scenes read back for a model."""
+    """S scenes of a scene file, as a model needs them."""
 
     trajectory: Trajectory
+    """States [S, N, T, D]."""
     graph: Int[Tensor, "S E"]
-    """Edge types as indices into the vocabulary asked for."""
+    """Edge types as indices into the vocabulary given to `read`."""
     source: np.ndarray
+    """[S] Site or scenario of each scene."""
     split: np.ndarray
+    """[S] `train`, `validation` or `test`."""
     vehicle: np.ndarray
+    """[S, N] Numbers of the vehicles."""
     length: Float[Tensor, "S N"]
+    """Vehicle lengths [m]; 0 if not recorded."""
     hypothesis: Int[Tensor, "S E"] | None = None
-    """What the geometry suggests, where the file knows better."""
+    """Edge types that the geometry suggests; None if the file does not contain them."""
     unambiguous: Bool[Tensor, " S"] | None = None
-    """Whether the graph says all that the steps of a scene say, where it is reduced from those."""
+    """Whether the graph contains all relations of the scene's steps; None if the file does not have graphs per step."""
 
     def __len__(self) -> int:
         return len(self.graph)
@@ -44,9 +49,10 @@ class Recorded:
 
 
 def read(path: Path, kind: str, dynamics: Dynamics, vocabulary: Vocabulary, split: str | None = None) -> Recorded:
-    """All scenes of a kind (and split), as states of the given dynamics.
+    """All scenes of a kind, and of `split` if that is given, as states of `dynamics` and types of `vocabulary`.
 
-    Errors: `InputError` where the file is no scene file, has no such scenes, or lacks a state feature or edge type.
+    Errors: `InputError` if the file is not a scene file, has no such scenes or scenes of different T, does not have a
+    feature of the state, or has an edge type outside the vocabulary.
     """
     header = read_header(opened(path), path)
     n = header.vehicles
@@ -59,11 +65,15 @@ def read(path: Path, kind: str, dynamics: Dynamics, vocabulary: Vocabulary, spli
         raise InputError(f"{path}: has no scenes of kind {kind}{f' in split {split}' if split else ''}; make some")
     steps = int(table["step"].to_numpy().max()) + 1
     if table.num_rows % (n * steps) or np.any(np.diff(table["scene"].to_numpy()[:: n * steps]) <= 0):
-        raise InputError(f"{path}: scenes of kind {kind} differ in length; write each length to a file of its own")
+        raise InputError(
+            f"{path}: got scenes of kind {kind} with different numbers of steps, wanted one; write a file for each"
+        )
     shape = (-1, n, steps)
     for name in dynamics.state:
         if table[name].null_count:
-            raise InputError(f"{path}: column {name} is not filled in for kind {kind}, wanted by {dynamics.name}")
+            raise InputError(
+                f"{path}: column {name} has missing values for kind {kind}; {dynamics.name} needs all of them"
+            )
     state = np.stack([table[name].to_numpy().reshape(shape) for name in dynamics.state], -1)
     valid = table["valid"].to_numpy(zero_copy_only=False).reshape(shape)
     first = {name: table[name].to_numpy(zero_copy_only=False).reshape(shape)[:, :, 0] for name in names[3:7]}
@@ -86,7 +96,7 @@ def read(path: Path, kind: str, dynamics: Dynamics, vocabulary: Vocabulary, spli
 
 
 def scene_counts(path: Path) -> set[tuple[str, str]]:
-    """The (kind, split) pairs that a file has scenes of. Errors: `InputError` where it is no scene file."""
+    """The pairs (kind, split) for which a file has scenes. Errors: `InputError` if it is not a scene file."""
     read_header(opened(path), path)
     table = pq.read_table(path, columns=["kind", "split"]).unify_dictionaries()
     found = table.group_by(["kind", "split"]).aggregate([])
@@ -94,7 +104,7 @@ def scene_counts(path: Path) -> set[tuple[str, str]]:
 
 
 def joined(parts: Sequence[Recorded]) -> Recorded:
-    """Scenes of the same shape one after the other."""
+    """All scenes of the parts, in order; their N, T and Δt must agree."""
     first = parts[0].trajectory
     state, valid = (torch.cat([getattr(p.trajectory, name) for p in parts]) for name in ("state", "valid"))
     return Recorded(
@@ -110,12 +120,13 @@ def joined(parts: Sequence[Recorded]) -> Recorded:
 
 
 def _all_of(parts: Sequence[Tensor | None]) -> Tensor | None:
-    """One after the other; None where a part has nothing."""
-    there = [part for part in parts if part is not None]
-    return torch.cat(there) if len(there) == len(parts) else None
+    """The concatenated parts; None if a part is None."""
+    present = [part for part in parts if part is not None]
+    return torch.cat(present) if len(present) == len(parts) else None
 
 
 def _indices(names: np.ndarray, vocabulary: Vocabulary, path: Path) -> np.ndarray:
+    """Names [S, E] as indices into the vocabulary."""
     unknown = set(names.ravel().tolist()) - {str(kind) for kind in vocabulary}
     if unknown:
         wanted = ", ".join(vocabulary)

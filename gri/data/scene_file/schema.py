@@ -1,8 +1,8 @@
-"""The project's scene file: one Parquet table for scenes of any origin (docs/scenes.md).
+"""The project's scene file: one Parquet table for scenes of every origin (docs/scenes.md).
 
-One row per scene, vehicle and step, in that order, so that `pandas.read_parquet` gives a table to work with and whole
-scenes lie together. Scenes are written group by group; memory holds one group, not the file. The same scenes and
-provenance give the same bytes.
+The table has one row per scene, vehicle and step, in that order. So `pandas.read_parquet` gives a usable table, and the
+rows of a scene are together. Scenes are written in row groups; memory holds one group, not the whole file. The same
+scenes and provenance give the same bytes.
 """
 
 import os
@@ -24,52 +24,56 @@ from gri.errors import InputError
 FORMAT, VERSION = "gri-scenes", 1
 KEY = b"gri.scenes"
 FEATURES = ("x", "y", "vx", "vy", "ax", "ay", "v", "a", "heading", "yaw_rate")
-"""State columns, SI units: together they hold the states of all dynamics. What a source does not know is null."""
-ROWS = 300_000  # a row group at most
+"""State columns in SI units, for all dynamics together. Columns that a source does not have are null."""
+ROWS = 300_000
+"""Rows of one row group at most."""
 
 
 @dataclass(frozen=True)
 class SceneBlock:
-    """S scenes of N vehicles over T steps that share their kind; the last vehicle is the given leader."""
+    """S scenes of one kind, with N vehicles and T steps each. The last vehicle is the leader."""
 
     kind: str
-    """`car_following`, `lane_changing`, or another word the source defines."""
+    """`car_following`, `lane_changing_h1`, or another word that the source defines."""
     source: np.ndarray
-    """[S] Where each scene is from: a site, a scenario."""
+    """[S] Site or scenario of each scene."""
     recording: np.ndarray
-    """[S] Which recording or episode of the source; vehicle numbers mean something within it."""
+    """[S] Recording or episode of the source. Vehicle numbers are unique within it."""
     split: np.ndarray
     """[S] `train`, `validation` or `test`."""
     start: np.ndarray
-    """[S] Time of step 0 since the recording began [s]."""
+    """[S] Time of step 0, from the start of the recording [s]."""
     vehicle: np.ndarray
     """[S, N] Numbers of the vehicles."""
     features: Mapping[str, np.ndarray]
-    """[S, N, T] of some of `FEATURES`."""
+    """[S, N, T] for some of `FEATURES`, SI units."""
     edges: np.ndarray
-    """[S, E] Names of edge types over ordered pairs (`gri.core.graph.pairs`): the truth, or what is taken for it."""
+    """[S, E] Names of the edge types, in the order of `gri.core.graph.pairs`: true or hypothesised."""
     valid: np.ndarray | None = None
-    """[S, N, T] Which states exist; None: all."""
+    """[S, N, T] Whether each state exists; None: all exist."""
     size: Mapping[str, np.ndarray] = field(default_factory=dict)
-    """[S, N] `length` and `width` [m], 0 where unknown."""
+    """[S, N] for `length` and `width` [m]; 0 if unknown."""
     step_edges: np.ndarray | None = None
-    """[S, E, T] Edge types step by step, where they change; None: they do not."""
+    """[S, E, T] Edge types at each step; None if they are constant."""
     rule_edges: np.ndarray | None = None
-    """[S, E, T] The same by cheaper rules, where the source has both."""
+    """[S, E, T] Edge types at each step by simpler rules; None if the source does not have them."""
     effect: np.ndarray | None = None
-    """[S, E, T] How strong the edge is at each step [m/s²]; negative: the vehicle would be faster without it."""
+    """[S, E, T] Effect of the edge on the receiver's acceleration at each step [m/s²]; negative: it slows down."""
     hypothesis: np.ndarray | None = None
-    """[S, E] Edge types that the geometry suggests, where `edges` are known otherwise."""
+    """[S, E] Edge types that the geometry suggests; None if `edges` come from the geometry themselves."""
     unambiguous: np.ndarray | None = None
-    """[S] Whether `edges` says of every pair all that its steps say."""
+    """[S] Whether `edges` contains all relations of `step_edges`."""
     vehicle_type: np.ndarray | None = None
-    """[S, N] The source's word for each vehicle's type."""
+    """[S, N] Type of each vehicle, in the source's words."""
 
     @property
     def shape(self) -> tuple[int, int, int]:
+        """(S, N, T)."""
         return next(iter(self.features.values())).shape
 
     def __getitem__(self, scenes: slice) -> "SceneBlock":
+        """The selected scenes."""
+
         def cut(values: Any) -> Any:
             if isinstance(values, Mapping):
                 return {name: array[scenes] for name, array in values.items()}
@@ -79,20 +83,20 @@ class SceneBlock:
 
 
 class Header(msgspec.Struct, frozen=True, kw_only=True):
-    """What the file says of itself, as JSON under `gri.scenes` in the Parquet metadata."""
+    """The file's metadata: JSON under the key `gri.scenes` of the Parquet metadata."""
 
     dt: float
     """Time between two steps [s]."""
     vehicles: int = 3
-    """N."""
+    """N, the same for all scenes of the file."""
     format: str = FORMAT
     version: int = VERSION
     provenance: dict[str, Any] = {}
-    """What made the scenes: files with their hashes, options, counts, versions. Nothing that changes by itself."""
+    """How the scenes were made: files with their hashes, options, counts, versions. No dates: bytes stay the same."""
 
 
 def schema(header: Header) -> pa.Schema:
-    """The columns; see docs/scenes.md."""
+    """The columns of a file (docs/scenes.md)."""
     word = pa.dictionary(pa.int32(), pa.string())
     kinds = "edge_from", "step_edge_from", "rule_edge_from", "hypothesis_from"
     edges = [f"{name}_{i}" for name in kinds for i in range(header.vehicles)]
@@ -107,7 +111,11 @@ def schema(header: Header) -> pa.Schema:
 
 @contextmanager
 def writing(path: Path, header: Header) -> Iterator[Callable[[SceneBlock], None]]:
-    """A function that appends scenes; the file appears whole at the end or not at all, scenes numbered as they come."""
+    """Open a new scene file and yield the function that appends blocks of scenes.
+
+    Scenes are numbered in the order in which they are appended. The file is complete or it does not exist: a temporary
+    file is renamed at the end.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_suffix(f".{os.getpid()}.part")
     written = 0
@@ -131,9 +139,10 @@ def writing(path: Path, header: Header) -> Iterator[Callable[[SceneBlock], None]
 
 @contextmanager
 def joining(path: Path, header: Header) -> Iterator[Callable[[Path, Mapping[str, int]], None]]:
-    """A function that appends the first scenes of a file, so many of each kind, with new numbers; else like `writing`.
+    """Open a new scene file and yield the function that appends scenes of existing files; else like `writing`.
 
-    Memory holds one group of rows.
+    The function takes the path of a file and the number of scenes of each kind; it appends the first so many, with new
+    scene numbers. Memory holds one row group.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_suffix(f".{os.getpid()}.part")
@@ -167,7 +176,7 @@ def _table(block: SceneBlock, first: int, header: Header) -> pa.Table:
     scene = np.arange(first, first + count)
 
     def spread(values: np.ndarray) -> np.ndarray:
-        """[S] or [S, N] values on every row."""
+        """Values [S] or [S, N] repeated for every row."""
         shaped = values.reshape(*values.shape, *[1] * (3 - values.ndim))
         return np.broadcast_to(shaped, (count, n, steps)).ravel()
 
@@ -200,7 +209,7 @@ def _table(block: SceneBlock, first: int, header: Header) -> pa.Table:
 
 
 def _column(values: np.ndarray | None, kind: pa.DataType, rows: int) -> pa.Array:
-    """Values in the file's type, all null where there are none; words as numbers in the order of their appearance."""
+    """A column of the file's type; all null if `values` is None. Words become codes in order of appearance."""
     if values is None:
         return pa.nulls(rows, kind)
     if not pa.types.is_dictionary(kind):
@@ -210,7 +219,7 @@ def _column(values: np.ndarray | None, kind: pa.DataType, rows: int) -> pa.Array
 
 
 def _edge_columns(name: str, edges: np.ndarray, n: int) -> dict[str, np.ndarray]:
-    """Column i holds, on the rows of vehicle j, the type of i → j; null for i = j."""
+    """N columns. In the rows of vehicle j, column i contains the value of the edge i → j; null for i = j."""
     table = np.full((len(edges), n, n, edges.shape[2]), None, object)
     for e, (i, j) in enumerate(pairs(n)):
         table[:, i, j] = edges[:, e]
@@ -218,17 +227,17 @@ def _edge_columns(name: str, edges: np.ndarray, n: int) -> dict[str, np.ndarray]
 
 
 def header_of(path: Path) -> Header:
-    """What the file says of itself. Errors: `InputError` where it is no scene file."""
+    """The header of a scene file. Errors: `InputError` if it is not a scene file."""
     return read_header(opened(path), path)
 
 
 def names_of(edges: Mapping[tuple[int, int], EdgeType], n: int = 3) -> np.ndarray:
-    """[E] Names of the types of one graph, "none" where it has no edge."""
+    """[E] Names of the edge types of one graph; pairs that `edges` does not contain have "none"."""
     return np.array([str(edges.get(pair, EdgeType.NONE)) for pair in pairs(n)], object)
 
 
 def opened(path: Path) -> pq.ParquetFile:
-    """The Parquet file. Errors: `InputError` where it is none."""
+    """An opened Parquet file. Errors: `InputError` if it is not readable as Parquet."""
     try:
         return pq.ParquetFile(path)
     except (OSError, pa.ArrowException) as error:
@@ -236,7 +245,7 @@ def opened(path: Path) -> pq.ParquetFile:
 
 
 def read_header(file: pq.ParquetFile, path: Path) -> Header:
-    """What an opened file says of itself."""
+    """The header of an opened file. Errors: `InputError` if it is not a scene file, or of another version."""
     text = (file.schema_arrow.metadata or {}).get(KEY)
     if text is None:
         raise InputError(
@@ -244,5 +253,7 @@ def read_header(file: pq.ParquetFile, path: Path) -> Header:
         )
     header = msgspec.json.decode(text, type=Header)
     if (header.format, header.version) != (FORMAT, VERSION):
-        raise InputError(f"{path}: got {header.format} {header.version}, this release reads {FORMAT} {VERSION}")
+        raise InputError(
+            f"{path}: got {header.format} {header.version}, this release reads {FORMAT} {VERSION}; make the file again"
+        )
     return header

@@ -1,4 +1,4 @@
-"""Synthetic scenes: an expert policy, trained on the true reward and graph, rolled out (Sec. VI-C)."""
+"""Synthetic scenes: roll-outs of an expert policy that was trained on the true reward and graph (Sec. VI-C)."""
 
 import torch
 from jaxtyping import Float, Int
@@ -24,7 +24,10 @@ Range = SceneRange | LaneChangingRange | HighwayMergeRange
 def sample_starts(
     scenes: Range, count: int, generator: torch.Generator, steps: int | None = None
 ) -> tuple[Float[Tensor, "B 3 D"], Float[Tensor, "B T D"]]:
-    """Initial states of three vehicles and the trajectory of the last one, the leader."""
+    """Initial states of three vehicles, and the trajectory of the last one, the leader.
+
+    T is `steps`, or the steps of the range. Units are those of the range's dynamics.
+    """
     match scenes:
         case SceneRange():
             return sample_row(scenes, count, generator, steps)
@@ -39,14 +42,17 @@ def sample_starts(
 def sample_row(
     scenes: SceneRange, count: int, generator: torch.Generator, steps: int | None = None
 ) -> tuple[Float[Tensor, "B 3 3"], Float[Tensor, "B T 3"]]:
-    """Initial states of three vehicles in a row and the leader's trajectory."""
+    """Initial states (x [m], v [m/s], a [m/s²]) of three vehicles in one lane, and the leader's trajectory.
+
+    With probability `settled`, the headways are near the IDM's equilibrium; else they are uniform.
+    """
     starts, settled = scenes.starts, torch.rand(count, 1, generator=generator) < scenes.starts.settled
-    speed = _speeds(scenes, count, generator)
+    speed = _sample_speeds(scenes, count, generator)
     constants = scenes.reward.constants
-    wanted = (constants.standstill + constants.time_headway * speed[:, :2]) * uniform(
+    equilibrium = (constants.standstill + constants.time_headway * speed[:, :2]) * uniform(
         generator, 1 - starts.spread, 1 + starts.spread, count, 2
     )
-    headway = torch.where(settled, wanted, uniform(generator, *starts.headway, count, 2))
+    headway = torch.where(settled, equilibrium, uniform(generator, *starts.headway, count, 2))
     headway = headway.clamp(*starts.headway)
     zero = torch.zeros(count, 1)
     position = torch.cat([-headway.sum(1, keepdim=True), -headway[:, 1:], zero], 1)
@@ -56,7 +62,7 @@ def sample_row(
     return torch.cat([start[:, :-1], leader[:, None, 0]], 1), leader
 
 
-def _speeds(scenes: SceneRange, count: int, generator: torch.Generator) -> Float[Tensor, "B 3"]:
+def _sample_speeds(scenes: SceneRange, count: int, generator: torch.Generator) -> Float[Tensor, "B 3"]:
     starts = scenes.starts
     if starts.speed_difference is None:
         return uniform(generator, *starts.speed, count, 3)
@@ -69,14 +75,11 @@ def _speeds(scenes: SceneRange, count: int, generator: torch.Generator) -> Float
 def sample_graphs(
     graphs: tuple[GraphShare, ...], count: int, generator: torch.Generator, vocabulary: Vocabulary = FOLLOWING
 ) -> Int[Tensor, "B E"]:
-    """True graphs of `count` scenes, as type indices in the vocabulary."""
-    table = torch.cat([_certain(graph.edges, vocabulary) for graph in graphs])
+    """Random true graphs of B = `count` scenes, as indices into the vocabulary; `graphs` gives their probabilities."""
+    edges = ({(edge.sender, edge.receiver): edge.type for edge in graph.edges} for graph in graphs)
+    table = torch.cat([InteractionGraph.of_edges(named, vocabulary).map for named in edges])
     shares = torch.tensor([float(g.share) for g in graphs])
     return table[torch.multinomial(shares, count, replacement=True, generator=generator)]
-
-
-def _certain(edges: tuple[Edge, ...], vocabulary: Vocabulary) -> Int[Tensor, "1 E"]:
-    return InteractionGraph.of_edges({(e.sender, e.receiver): e.type for e in edges}, vocabulary).map
 
 
 def model_config(
@@ -85,8 +88,9 @@ def model_config(
     encoder: EncoderConfig | None,
     graph: tuple[Edge, ...] | None = None,
 ) -> ModelConfig:
-    """A model that fits the scenes; without an encoder it believes in `graph`, by default the first of the
-    range.
+    """The configuration of a model for the scenes.
+
+    Without an encoder the model always uses `graph`, or the first graph of the range if that is None.
     """
     return ModelConfig(
         dynamics=scenes.dynamics,
@@ -102,7 +106,7 @@ def model_config(
 
 
 def true_reward(scenes: Range) -> StructuredReward:
-    """The reward the expert maximises."""
+    """The reward that the expert maximises, with the range's true weights (Sec. VI-C)."""
     return StructuredReward.with_weights(scenes.reward, scenes.weights).requires_grad_(False)
 
 
@@ -114,10 +118,10 @@ def train_expert(
     batch: int = 128,
     progress: Progress = no_progress,
 ) -> RelationalModel:
-    """A policy that maximises the true return under the true graph by back-propagation through roll-outs.
+    """Train a policy to maximise the true return under the true graph, by back-propagation through roll-outs.
 
-    Each vehicle maximises its own return: what it makes the vehicle behind it do does not count, and over an
-    edge of type 0 it sees nothing.
+    `batch` is the number of starts per update. Each vehicle maximises its own return, so its effect on the vehicle
+    behind does not count. Edges of type 0 carry no message.
     """
     torch.manual_seed(seed)
     generator = torch.Generator().manual_seed(seed)
@@ -141,7 +145,10 @@ def train_expert(
 def mean_return(
     model: RelationalModel, reward: StructuredReward, start: Tensor, leader: Tensor, graph: Tensor
 ) -> Float[Tensor, ""]:
-    """Mean reward per driven vehicle and step of the model's roll-outs, each vehicle on its own account."""
+    """Mean reward per driven vehicle and step of roll-outs from `start` [B, N, D] with the one-hot `graph` [B, E, K].
+
+    `leader` [B, T, D] is the leader's trajectory. No gradient flows from a vehicle's reward to other vehicles.
+    """
     driven = rollout(model, start, graph, leader, selfish=True)
     return returns(reward, driven.state, driven.action, graph).mean()
 
@@ -152,7 +159,7 @@ def returns(
     action: Float[Tensor, "B R T-1 A"],
     graph: Float[Tensor, "B E K"],
 ) -> Float[Tensor, "B R T-1"]:
-    """Reward of the driven vehicles at every step, without a gradient to the vehicles they react to."""
+    """Reward of each driven vehicle at every step (Eq. reward), without a gradient to the vehicles it reacts to."""
     idle = action.new_zeros(len(action), state.shape[1] - action.shape[1], *action.shape[2:])
     return reward(state[:, :, :-1], torch.cat([action, idle], 1), graph, cooperative=False)[:, : action.shape[1]]
 
@@ -166,9 +173,10 @@ def make_scenes(
     seed: int,
     action_noise: float = 0.0,
 ) -> Scenes:
-    """Roll the expert out from random starts; `action_noise` is the standard deviation of its jerk [m/s³].
+    """Roll-outs of the expert from `count` random starts.
 
-    Other actions are as noisy as the jerk, in units of the scale.
+    `action_noise` is the standard deviation of independent noise on the jerk [m/s³]. Other actions get the same noise
+    relative to the units of the scale.
     """
     generator = torch.Generator().manual_seed(seed)
     start, leader = sample_starts(scenes, count, generator)

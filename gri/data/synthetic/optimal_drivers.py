@@ -1,8 +1,8 @@
-"""Scenes whose drivers are optimal: each plays its best response to the true reward and to what the others then do.
+"""Highway merges with optimal drivers: each maximises the true reward, given the trajectories of the others.
 
-No policy is trained for them. Newton steps (`gri.planning.ilqr`) start from a driver who keeps its distance, and go
-round the vehicles a few times. Drivers so foresee each other, the leader included, as the likelihood of grounded
-training also takes them to do (`gri.planning.laplace_likelihood`).
+No policy is trained. Newton steps (`gri.planning.ilqr`) improve one vehicle's actions after the other, in a few sweeps,
+from the actions of a distance controller. So each driver foresees the others and the leader. The likelihood in grounded
+training makes the same assumption (`gri.planning.laplace_likelihood`).
 """
 
 from typing import Literal
@@ -27,9 +27,14 @@ from gri.data.synthetic.expert import true_reward
 from gri.planning.ilqr import Task, climb_by_steps
 from gri.progress import Progress, no_progress
 
-SWEEPS, ITERATIONS = 2, 12
-CAR_WIDTH = 2.0  # [m]
-SPARE = 1.3  # scenes begun per scene kept, as some starts end badly
+SWEEPS = 2
+"""Passes over all driven vehicles."""
+ITERATIONS = 12
+"""Newton steps per vehicle and sweep."""
+CAR_WIDTH = 2.0
+"""[m]."""
+OVERSAMPLING = 1.3
+"""Scenes started for each scene wanted, because some are rejected."""
 
 
 def make_highway_scenes(
@@ -39,8 +44,9 @@ def make_highway_scenes(
     seed: int,
     progress: Progress = no_progress,
 ) -> Scenes:
-    """Scenes in random order, with their histories; without those in which the optimum has a contact or, merging behind
-    the leader, ends ahead of it.
+    """`count` scenes with their histories, in random order.
+
+    Scenes are rejected if vehicles have contact, or if vehicle 0 should merge behind the leader and ends ahead of it.
     """
     generator = torch.Generator().manual_seed(seed)
     shares = scenes.mixed_graphs if graphs == "mixed" else scenes.one_graph
@@ -48,16 +54,18 @@ def make_highway_scenes(
     for done, share in enumerate(shares):
         progress("scenes", done, len(shares), 0.0)
         wanted = round(share.share * count) if done else count - sum(round(s.share * count) for s in shares[1:])
-        parts.append(_of_graph(scenes, share, wanted, generator))
+        parts.append(_scenes_with_graph(scenes, share, wanted, generator))
     progress("scenes", len(shares), len(shares), 0.0)
-    together = Scenes(*(torch.cat(values) for values in zip(*(vars(p).values() for p in parts), strict=True)))
-    return together[torch.randperm(count, generator=generator)]
+    scenes_in_order = Scenes(*(torch.cat(values) for values in zip(*(vars(p).values() for p in parts), strict=True)))
+    return scenes_in_order[torch.randperm(count, generator=generator)]
 
 
-def _of_graph(scenes: HighwayMergeRange, share: SituationShare, wanted: int, generator: torch.Generator) -> Scenes:
-    kept: list[Scenes] = []
-    while (missing := wanted - sum(len(part) for part in kept)) > 0:
-        start = sample_takeovers(scenes, share.situation, int(SPARE * missing) + 8, generator)
+def _scenes_with_graph(
+    scenes: HighwayMergeRange, share: SituationShare, wanted: int, generator: torch.Generator
+) -> Scenes:
+    accepted: list[Scenes] = []
+    while (missing := wanted - sum(len(part) for part in accepted)) > 0:
+        start = sample_takeovers(scenes, share.situation, int(OVERSAMPLING * missing) + 8, generator)
         leader = leader_drive(scenes, start[:, 2], generator)
         start = torch.cat([start[:, :2], leader[:, :1]], 1)
         history = sample_history(scenes, share.situation, start, generator)
@@ -66,15 +74,15 @@ def _of_graph(scenes: HighwayMergeRange, share: SituationShare, wanted: int, gen
         found = drive_optimally(scenes, start, leader, graph)
         behind = found.state[:, 2, -1, 0] > found.state[:, 0, -1, 0]
         good = (~in_contact(found.state) & behind) | (share.situation is Situation.PASSING)
-        kept.append(Scenes(found.state, found.action, found.graph, history)[good.nonzero()[:missing, 0]])
-    return Scenes(*(torch.cat(values) for values in zip(*(vars(p).values() for p in kept), strict=True)))
+        accepted.append(Scenes(found.state, found.action, found.graph, history)[good.nonzero()[:missing, 0]])
+    return Scenes(*(torch.cat(values) for values in zip(*(vars(p).values() for p in accepted), strict=True)))
 
 
 def in_contact(state: Float[Tensor, "S N T D"]) -> Bool[Tensor, " S"]:
-    """Whether vehicle 0 ever has the others' length and width in common with them."""
-    apart = state[:, [2, 0]] - state[:, [0, 1]]  # to the leader, and from who lags
-    touching = (apart[..., 0] < LENGTH) & (apart[..., 0] > -LENGTH) & (apart[..., 1].abs() < CAR_WIDTH)
-    return touching.any(-1).any(-1)
+    """Whether vehicle 0 overlaps with the leader 2 or the lag vehicle 1 at any step."""
+    distance = state[:, [2, 0]] - state[:, [0, 1]]
+    overlap = (distance[..., 0].abs() < LENGTH) & (distance[..., 1].abs() < CAR_WIDTH)
+    return overlap.any(-1).any(-1)
 
 
 @torch.no_grad()
@@ -84,7 +92,10 @@ def drive_optimally(
     leader: Float[Tensor, "S T 6"],
     graph: Int[Tensor, " E"],
 ) -> Scenes:
-    """Both drivers on their best response under one graph."""
+    """Scenes in which vehicles 0 and 1 play their best responses under one graph (indices of edge types).
+
+    `start` and `leader` are states of Dubins' car (x, y, v, heading, a, yaw rate).
+    """
     dynamics, reward = dynamics_named(scenes.dynamics), true_reward(scenes).in_double()
     start, leader, graphs = start.double(), leader.double(), graph.expand(len(start), -1)
     roles = [incoming(graphs, j, 3) for j in range(2)]
@@ -94,7 +105,7 @@ def drive_optimally(
         given = state[:, others, :-1]
         return Task(start[:, j], given, tuple(kinds[0].tolist()), reward, dynamics, scenes.dt, scenes.never_reverse)
 
-    action = keep_distance(scenes, start, leader, graph)
+    action = distance_controller(scenes, start, leader, graph)
     state = torch.stack([*(task(j, start[:, :, None]).simulate(action[:, j]) for j in range(2)), leader], 1)
     for _ in range(SWEEPS):
         for j in range(2):
@@ -103,36 +114,34 @@ def drive_optimally(
     return Scenes(state.float(), action.float(), graphs)
 
 
-def keep_distance(
+def distance_controller(
     scenes: HighwayMergeRange,
     start: Float[Tensor, "S 3 6"],
     leader: Float[Tensor, "S T 6"],
     graph: Int[Tensor, " E"],
 ) -> Float[Tensor, "S 2 T-1 2"]:
-    """The first guess: a linear controller of headway and speed behind whoever a vehicle follows or yields to.
+    """Actions of a linear controller of headway and speed, as the first guess.
 
-    From a guess that has passed the leader, no small step leads back behind it.
+    Each vehicle keeps its distance to the vehicles that it follows or yields to. From a first guess that has passed the
+    leader, small steps cannot lead back behind it.
     """
     dynamics, constants = dynamics_named(scenes.dynamics), scenes.reward.constants.following
-    ahead = [[i for i, kind in zip(*_first(graph, j), strict=True) if scenes.vocabulary[kind] in ("follow", "yield")]
-             for j in range(2)]  # fmt: skip
+    targets = []
+    for j in range(2):
+        senders, kinds = incoming(graph[None], j, 3)
+        types = (scenes.vocabulary[kind] for kind in kinds[0].tolist())
+        targets.append([i for i, kind in zip(senders, types, strict=True) if kind in ("follow", "yield")])
     now, actions = start, []
     for t in range(leader.shape[1] - 1):
         now = torch.cat([now[:, :2], leader[:, t : t + 1]], 1)
         action = torch.zeros(len(start), 2, 2, dtype=start.dtype)
-        for j, senders in enumerate(ahead):
+        for j, senders in enumerate(targets):
             x, v, a = now[:, j, 0], now[:, j, 2], now[:, j, 4]
-            wanted = torch.zeros_like(a)
+            desired = torch.zeros_like(a)
             for i in senders:
-                missing = now[:, i, 0] - x - constants.standstill - constants.time_headway * v
-                wanted = (0.8 * (now[:, i, 2] - v) + 0.12 * missing).clamp(-4.0, 1.5)
-            action[:, j, 0] = ((wanted - a) / 0.6).clamp(-6.0, 6.0)
+                excess = now[:, i, 0] - x - constants.standstill - constants.time_headway * v
+                desired = (0.8 * (now[:, i, 2] - v) + 0.12 * excess).clamp(-4.0, 1.5)
+            action[:, j, 0] = ((desired - a) / 0.6).clamp(-6.0, 6.0)
         actions.append(action)
         now = torch.cat([dynamics.step(now[:, :2], action, scenes.dt), now[:, 2:]], 1)
     return torch.stack(actions, 2)
-
-
-def _first(graph: Int[Tensor, " E"], j: int) -> tuple[list[int], list[int]]:
-    """Senders to vehicle j, and the types of their edges."""
-    others, kinds = incoming(graph[None], j, 3)
-    return others, kinds[0].tolist()

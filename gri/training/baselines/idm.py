@@ -1,4 +1,4 @@
-"""The intelligent driver model, fitted to recorded scenes: the baseline a traffic engineer would take."""
+"""The intelligent driver model (IDM), fitted to recorded scenes: the usual baseline of traffic engineering."""
 
 from dataclasses import fields, replace
 
@@ -22,14 +22,20 @@ FITTED = {
     "acceleration": (0.2, 4.0),
     "deceleration": (0.3, 6.0),
 }
-"""Parameters that are fitted, within these bounds; the vehicle ahead is 5 m long, as spacings are front to front."""
+"""Fitted parameters and their bounds, in SI units (`gri.core.policy.IntelligentDriver`).
+
+Spacings are front to front, so the vehicle ahead has the driver's fixed length of 5 m.
+"""
 
 
 @torch.no_grad()
 def drive(
     driver: IntelligentDriver, start: Float[Tensor, "S N 3"], leader: Float[Tensor, "S T 3"]
 ) -> Float[Tensor, "S N T 3"]:
-    """States when all vehicles but the last are driven, as long as the leader lasts; nobody reverses."""
+    """States [S, N, T, 3] (x [m], v [m/s], a [m/s²]) if the IDM drives all vehicles except the last.
+
+    `leader` is the trajectory of the last vehicle. Vehicles do not reverse.
+    """
     memory = driver.begin(Trajectory.complete(start[:, :, None], driver.dt))
     states = [start]
     for t in range(leader.shape[1] - 1):
@@ -40,7 +46,10 @@ def drive(
 
 
 def calibrate(scenes: Scenes, dt: float, progress: Progress = no_progress) -> IntelligentDriver:
-    """The one driver for all scenes that minimises the error by which the models are trained (Nelder-Mead)."""
+    """The IDM that minimises `reconstruction_loss`, the loss of the models, over all scenes (Nelder-Mead).
+
+    `dt` is the time step [s].
+    """
     driver = IntelligentDriver(dt)
     first = np.log([getattr(driver, name) for name in FITTED])
     bounds = [tuple(np.log(limits)) for limits in FITTED.values()]
@@ -59,10 +68,10 @@ def calibrate(scenes: Scenes, dt: float, progress: Progress = no_progress) -> In
 
 
 def with_parameters(driver: IntelligentDriver, values: np.ndarray) -> IntelligentDriver:
-    """The driver with other values of the fitted parameters."""
+    """The driver with the given values of the fitted parameters, in the order of `FITTED`."""
     return replace(driver, **dict(zip(FITTED, map(float, values), strict=True)))
 
 
 def parameters(driver: IntelligentDriver) -> dict[str, float]:
-    """Names and values of what is fitted."""
+    """Names and values of the fitted parameters, rounded to three digits."""
     return {f.name: round(getattr(driver, f.name), 3) for f in fields(driver) if f.name in FITTED}

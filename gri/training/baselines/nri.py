@@ -1,10 +1,10 @@
-"""The NRI baseline: the same encoder and decoder, trained to reproduce the scenes and nothing else (Sec. III-A, VI-A).
+"""The NRI baseline: GRI's encoder and decoder, trained only to reproduce the scenes (Sec. III-A, VI-A).
 
     min  E_z~q Σ_t ‖x̂_t(z) − x_t‖² + β·KL[q(z|τ) || p(z)]
 
-The decoder gives actions, as GRI's does, and the dynamics propagate them. Graphs are drawn by the straight-
-through Gumbel-softmax, and the bottleneck is GRI's. Without rewards the types have no meaning but the one
-that the decoder happens to give them.
+As in GRI, the decoder's output are actions, the dynamics propagate them, and the same bottleneck limits the graph.
+Graphs are sampled by the straight-through Gumbel-softmax. Without rewards, the edge types have no fixed meaning; the
+decoder determines it.
 """
 
 import msgspec
@@ -27,7 +27,7 @@ from gri.training.optimisation import (
 
 
 class NriSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="nri"):
-    """Sizes, rates and the bottleneck."""
+    """Sizes, learning rates and the bottleneck."""
 
     updates: int = 1500
     batch: int = 64
@@ -35,21 +35,21 @@ class NriSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     encoder_rate: float = 1e-3
     temperature: float = 0.5
     action_weight: float = 0.0
-    """Weight of the squared error of actions, in units of the scale, beside that of states [m²]."""
+    """Weight of the squared error of actions, in units of the scale, relative to that of states [m²]."""
     bottleneck: Bottleneck = Bottleneck(rate=0.05)
-    """β is smaller than in the game: the loss is in m² per step here, in nats per scene there."""
+    """The rate is smaller than in the adversarial objective, whose loss is in nats per scene, not in m² per step."""
 
 
 def train_nri(
     model: RelationalModel, scenes: Scenes, settings: NriSettings, seed: int, progress: Progress = no_progress
 ) -> None:
-    """Train the model in place."""
-    assert model.encoder is not None, "NRI infers graphs; give the model an encoder"
+    """Train the model in place. It must have an encoder."""
+    assert model.encoder is not None, "got a model without an encoder; NRI infers graphs and needs one"
     generator = torch.Generator().manual_seed(seed)
     model.decoder.log_sigma.requires_grad_(False)
-    to_encoder = Descent(model.encoder.parameters(), settings.encoder_rate, settings.updates)
+    encoder_descent = Descent(model.encoder.parameters(), settings.encoder_rate, settings.updates)
     policy = [p for p in model.decoder.parameters() if p.requires_grad]
-    to_policy = Descent(policy, settings.policy_rate, settings.updates)
+    policy_descent = Descent(policy, settings.policy_rate, settings.updates)
     prior = edge_prior(len(model.config.vocabulary), settings.bottleneck.no_edge_prior)
     beta = 0.0
     for update, chosen in enumerate(batches(len(scenes), settings.batch, settings.updates, generator)):
@@ -64,7 +64,7 @@ def train_nri(
         kl = categorical_kl(graph.logits, prior).mean()
         beta = updated_beta(beta, float(kl.detach()), settings.bottleneck)
         loss = error + beta * kl
-        gradients = to_encoder.gradients(loss, retain_graph=True)
-        to_policy.step(loss)
-        to_encoder.apply(gradients)
+        gradients = encoder_descent.gradients(loss, retain_graph=True)
+        policy_descent.step(loss)
+        encoder_descent.apply(gradients)
         progress("encoder and policy", update + 1, settings.updates, float(error.detach()))

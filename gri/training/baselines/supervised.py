@@ -1,4 +1,4 @@
-"""The Supervised baseline: the policy decoder alone, told the true graph (Sec. VI-A)."""
+"""The Supervised baseline: the policy decoder alone, with the true graph as input (Sec. VI-A)."""
 
 import msgspec
 import torch
@@ -11,13 +11,13 @@ from gri.training.optimisation import Descent, action_error, batches, reconstruc
 
 
 class SupervisedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="supervised"):
-    """Roll-out mean squared error, nothing else."""
+    """Settings of the Supervised baseline, which minimises the mean squared error of roll-outs."""
 
     updates: int = 1500
     batch: int = 64
     learning_rate: float = 3e-3
     action_weight: float = 0.0
-    """Weight of the squared error of actions, in units of the scale, beside that of states [m²]."""
+    """Weight of the squared error of actions, in units of the scale, relative to that of states [m²]."""
 
 
 def train_supervised(
@@ -27,7 +27,7 @@ def train_supervised(
     seed: int,
     progress: Progress = no_progress,
 ) -> None:
-    """Train the model's decoder in place."""
+    """Train the model's decoder in place, under the true graphs of the scenes."""
     generator = torch.Generator().manual_seed(seed)
     descent = Descent(model.decoder.parameters(), settings.learning_rate, settings.updates)
     types = len(model.config.vocabulary)

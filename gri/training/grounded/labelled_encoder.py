@@ -1,8 +1,8 @@
-"""Grounded training with an encoder that is told: it learns the scenes' own graphs instead of the reward's posterior.
+"""Grounded training with a labelled encoder: it learns the graphs of the scenes instead of the posterior over graphs.
 
-For scenes whose relations are known, as those of a simulator are (`cosim scenes`): what the encoder then infers is what
-the labels mean, also where the reward sees a relation differently. Reward and policy are trained as without labels, or
-are those of a trained driver.
+This is for scenes with known relations, such as those of a simulator (`cosim scenes`). The encoder then infers what the
+labels mean, even if the reward implies another relation. Reward and policy are trained without labels, or taken from
+another checkpoint.
 """
 
 import msgspec
@@ -16,16 +16,17 @@ from gri.progress import Progress, no_progress
 from gri.rewards.structured import StructuredReward
 from gri.training.grounded.reward_likelihood import fit_reward
 from gri.training.grounded.settings import GroundedSettings
-from gri.training.grounded.train_grounded import fit_encoder_and_policy, plan
+from gri.training.grounded.train_grounded import fit_encoder_and_policy, plan_policy
 
 
 class LabelledEncoderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="gri_told"):
-    """The stages' settings; those of the posterior over graphs are used for the reward alone."""
+    """The settings of the stages. Those of the posterior over graphs affect the reward only."""
 
     grounded: GroundedSettings
     start: str | None = None
-    """A checkpoint, or a released one's name: training goes on from its policy, and its reward stays as it is. With no
-    `updates` the policy does as well. None: reward and policy are learned from the scenes.
+    """A checkpoint, or the name of a released one, from which policy and reward are taken.
+
+    The reward stays unchanged, and with `updates` = 0 the policy, too. None: both are learned from the scenes.
     """
 
 
@@ -37,38 +38,43 @@ def train_labelled_encoder(
     seed: int,
     progress: Progress = no_progress,
 ) -> None:
-    """Train the model and the reward in place."""
+    """Train the model and the reward in place. The model must have an encoder.
+
+    Errors: `InputError` if `settings.start` is not a checkpoint that fits (`load_driver`).
+    """
     generator, grounded = torch.Generator().manual_seed(seed), settings.grounded
     if settings.start is not None:
-        take_over(model, reward, settings.start)
+        load_driver(model, reward, settings.start)
     else:
         fit_reward(model, reward, scenes, grounded, generator, progress)
         if grounded.optima is not None:
-            plan(model, reward, scenes, grounded, generator, progress)
-    told = scenes.one_hot(len(model.config.vocabulary))
-    fit_encoder_and_policy(model, reward, scenes, told, grounded, generator, progress)
+            plan_policy(model, reward, scenes, grounded, generator, progress)
+    labels = scenes.one_hot(len(model.config.vocabulary))
+    fit_encoder_and_policy(model, reward, scenes, labels, grounded, generator, progress)
 
 
-def take_over(model: RelationalModel, reward: StructuredReward, start: str) -> None:
-    """Give the model the policy of a checkpoint, and the reward that of its policy.
+def load_driver(model: RelationalModel, reward: StructuredReward, start: str) -> None:
+    """Copy the policy of the checkpoint `start` to the model, and its reward to `reward`.
 
-    Errors: `InputError` where the checkpoint has no reward, or is of another layout or size.
+    Errors: `InputError` if the checkpoint has no reward, or another vocabulary, dynamics, scale, decoder or reward.
     """
     path = resources.checkpoint_at(start)
-    driver, its_reward = checkpoint.load(path), checkpoint.load_reward(path)
-    if its_reward is None:
-        raise InputError(f"{path}: was trained without a reward; field objective.start wants a grounded driver")
+    driver, driver_reward = checkpoint.load(path), checkpoint.load_reward(path)
+    if driver_reward is None:
+        raise InputError(
+            f"{path}: got a checkpoint without a reward, wanted one with a reward in field objective.start"
+        )
     for what, got, wanted in (
         ("vocabulary", driver.config.vocabulary, model.config.vocabulary),
         ("dynamics", driver.config.dynamics, model.config.dynamics),
         ("scale", driver.config.scale, model.config.scale),
         ("decoder", driver.config.decoder, model.config.decoder),
-        ("reward", its_reward.config, reward.config),
+        ("reward", driver_reward.config, reward.config),
     ):
         if got != wanted:
             raise InputError(
-                f"{path}: its {what} is {got}, the configuration wants {wanted}; start from another driver"
+                f"{path}: got {what} {got}, the configuration wants {wanted}; start from another checkpoint"
             )
     model.decoder.load_state_dict(driver.decoder.state_dict())
-    reward.load_state_dict(its_reward.state_dict())
+    reward.load_state_dict(driver_reward.state_dict())
     reward.requires_grad_(False)

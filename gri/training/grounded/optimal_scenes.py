@@ -1,9 +1,9 @@
-"""Optima of the learned return away from the data, as scenes that the policy can imitate.
+"""Scenes off the data in which vehicles maximise the learned return, for the policy to imitate.
 
-Back-propagation through roll-outs is slow to climb the last percents of a return that spans orders of magnitude from
-graph to graph; Newton steps on one vehicle's actions (`gri.planning.ilqr`) do it at once. Each driven vehicle in turn
-is moved to its best response to the others as they then drive, starting from a planned policy, so that any number of
-steps is an improvement on it. A few sweeps come near an equilibrium of vehicles that foresee each other.
+The return differs by orders of magnitude between graphs. So back-propagation through roll-outs converges slowly. Newton
+steps on one vehicle's actions (`gri.planning.ilqr`) converge quickly. Starting from the roll-outs of a planned
+policy, each driven vehicle in turn is moved towards its best response to the present trajectories of the others. A few
+sweeps come near an equilibrium of vehicles that foresee each other.
 """
 
 import msgspec
@@ -23,15 +23,17 @@ from gri.training.optimisation import squared_error
 
 
 class OptimaSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """How many optima are computed, and how well."""
+    """Number and accuracy of the optimal scenes."""
 
     scenes: int = 2000
     sweeps: int = 2
+    """Passes over all driven vehicles."""
     iterations: int = 12
     """Newton steps per vehicle and sweep."""
     beyond: int = 0
-    """Steps that an optimum foresees beyond the scene, where leaders keep their speed. A policy does not know how long
-    a scene still lasts, and cannot do what pays only because it ends.
+    """Steps added to the horizon after the end of the scene, during which the leader keeps its speed.
+
+    A policy does not know when a scene ends. So it cannot imitate actions that are optimal only because of the end.
     """
 
 
@@ -44,7 +46,10 @@ def optimal_scenes(
     settings: OptimaSettings,
     progress: Progress = no_progress,
 ) -> Scenes:
-    """Every driven vehicle on its best response under the graph; the roll-outs of the model are the first guess."""
+    """Scenes in which every driven vehicle plays its best response under the one-hot graph.
+
+    The model's roll-outs from `start` are the first guess. `leader` is the trajectory of the last vehicle.
+    """
     steps = leader.shape[1]
     further = constant_speed(leader[:, -1], settings.beyond, model.dynamics, model.dt)
     with torch.no_grad():
@@ -54,12 +59,17 @@ def optimal_scenes(
     for sweep in range(settings.sweeps):
         progress("optima", sweep + 1, settings.sweeps, 0.0)
         for vehicle in range(driven.action.shape[1]):
-            scenes = respond(scenes, vehicle, model, reward, settings.iterations)
+            scenes = improve_vehicle(scenes, vehicle, model, reward, settings.iterations)
     return Scenes(scenes.state[:, :, :steps].float(), scenes.action[:, :, : steps - 1].float(), scenes.graph)
 
 
-def respond(scenes: Scenes, vehicle: int, model: RelationalModel, reward: StructuredReward, iterations: int) -> Scenes:
-    """The scenes with one vehicle's actions improved; those with the same incoming edges are improved together."""
+def improve_vehicle(
+    scenes: Scenes, vehicle: int, model: RelationalModel, reward: StructuredReward, iterations: int
+) -> Scenes:
+    """The scenes with the actions of one vehicle improved by `iterations` Newton steps.
+
+    Scenes whose edges into the vehicle have the same types are improved together.
+    """
     state, action = scenes.state.clone(), scenes.action.clone()
     others, kinds = incoming(scenes.graph, vehicle, state.shape[1])
     for shared in kinds.unique(dim=0):
@@ -79,11 +89,11 @@ def respond(scenes: Scenes, vehicle: int, model: RelationalModel, reward: Struct
     return Scenes(state, action, scenes.graph)
 
 
-def distance(model: RelationalModel, optima: Scenes, scale: float) -> Float[Tensor, ""]:
-    """How far the model's roll-outs are from the optima: s²·(√(1 + 2e/s²) − 1), mean over scenes.
+def distance_to_optima(model: RelationalModel, optima: Scenes, scale: float) -> Float[Tensor, ""]:
+    """Distance of the model's roll-outs from the optimal scenes: mean over scenes of s²·(√(1 + 2e/s²) − 1).
 
-    e is the mean squared error as in reconstruction; from s [m] on it counts linearly only, as graphs that ask for
-    contradictory things have optima that no policy reaches.
+    e is the mean squared error as in `reconstruction_loss`, and s is `scale` [m]. Errors beyond s count only linearly,
+    because under contradictory graphs no policy can reach the optimum.
     """
     graph = optima.one_hot(len(model.config.vocabulary))
     driven = rollout(model, optima.start, graph, optima.leader, selfish=True)

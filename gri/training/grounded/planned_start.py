@@ -1,4 +1,4 @@
-"""A policy planned on the reward as it stands, before anyone is imitated: near the best response under every graph."""
+"""An initial policy for the adversarial objective: near the best response to the initial reward under every graph."""
 
 import msgspec
 import torch
@@ -8,24 +8,26 @@ from gri.networks.model import RelationalModel
 from gri.progress import Progress, no_progress
 from gri.rewards.structured import StructuredReward
 from gri.training.grounded.augmentation import Shifts
-from gri.training.grounded.optimal_scenes import OptimaSettings, distance, optimal_scenes
+from gri.training.grounded.optimal_scenes import OptimaSettings, distance_to_optima, optimal_scenes
 from gri.training.grounded.settings import GroundedSettings
-from gri.training.grounded.train_grounded import off_data_returns, plan
+from gri.training.grounded.train_grounded import off_data_batch, plan_policy
 from gri.training.optimisation import Descent, batches
 
 
 class PlanSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Climbing to the reward under random graphs, then imitating optima that start from there."""
+    """First maximise the reward under random graphs, then imitate optimal scenes that start from that policy."""
 
     updates: int = 500
+    """Updates of the maximisation."""
     batch: int = 128
     rate: float = 3e-3
+    """Learning rate of both steps."""
     optima: OptimaSettings = OptimaSettings()
     imitation_updates: int = 1200
     imitation_batch: int = 64
 
 
-def plan_by_optima(
+def plan_by_imitation(
     model: RelationalModel,
     reward: StructuredReward,
     scenes: Scenes,
@@ -33,19 +35,19 @@ def plan_by_optima(
     generator: torch.Generator,
     progress: Progress = no_progress,
 ) -> None:
-    """Train the policy in place. Of the scenes only the starts and the leader are used, no demonstration."""
-    climbing = GroundedSettings(
+    """Train the model's policy in place. The scenes give the starts and the leader only; no demonstration is used."""
+    grounded = GroundedSettings(
         planner_updates=settings.updates,
         planner_batch=settings.batch,
         policy_rate=settings.rate,
         shifts=Shifts(position=(0.0, 0.0)),
     )
-    plan(model, reward, scenes, climbing, generator, progress)
-    begun = off_data_returns(model, scenes, climbing, settings.optima.scenes, generator)
-    optima = optimal_scenes(model, reward, *begun, settings.optima, progress)
+    plan_policy(model, reward, scenes, grounded, generator, progress)
+    start, leader, graph = off_data_batch(model, scenes, grounded, settings.optima.scenes, generator)
+    optima = optimal_scenes(model, reward, start, leader, graph, settings.optima, progress)
     total = settings.imitation_updates
     descent = Descent(model.decoder.parameters(), settings.rate, total)
     for update, chosen in enumerate(batches(len(optima), settings.imitation_batch, total, generator)):
-        away = distance(model, optima[chosen], climbing.optima_scale)
-        descent.step(away)
-        progress("plan", update + 1, total, float(away.detach()))
+        loss = distance_to_optima(model, optima[chosen], grounded.optima_scale)
+        descent.step(loss)
+        progress("plan", update + 1, total, float(loss.detach()))

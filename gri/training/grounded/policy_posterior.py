@@ -1,4 +1,4 @@
-"""The posterior over the graphs of recorded scenes, without labels, by a policy planned on the reward."""
+"""The posterior over the graphs of recorded scenes by a policy that was planned on the reward; no labels are used."""
 
 import torch
 from jaxtyping import Float
@@ -19,10 +19,10 @@ def posterior_by_policy(
     scenes: Scenes,
     prior: Float[Tensor, "S E K"],
 ) -> Float[Tensor, "S E K"]:
-    """p(z | u) ∝ p(z)·Π_t N(u_t; μ(x_t, z), σ²), with a policy that maximises the reward under every graph.
+    """p(z | u) ∝ p(z)·Π_t N(u_t; μ(x_t, z), σ²), with a policy μ that maximises the reward under every graph.
 
-    A policy knows the present only, as a driver does, whereas Laplace's approximation has the vehicle foresee
-    what the others will do. σ² is the mean squared deviation under the graph that fits best, per vehicle.
+    Like a driver, a policy knows only the present; Laplace's approximation assumes that vehicles foresee the others.
+    σ² is the mean over vehicles of the mean squared deviation under the graph that fits best.
     """
     deviation = _deviations(model, reward, scenes)  # Shape: (S, R, C, T−1)
     squared = deviation.square()
@@ -31,7 +31,7 @@ def posterior_by_policy(
 
 
 def _deviations(model: RelationalModel, reward: StructuredReward, scenes: Scenes) -> Float[Tensor, "S R C U"]:
-    """Scaled distance of recorded from mean actions, under every combination of the edges into each vehicle."""
+    """Distance of recorded from mean actions, in units of the scale, for each combination of edges into a vehicle."""
     n = scenes.state.shape[1]
     unit = model.decoder.action_unit
     parts = []
@@ -43,6 +43,6 @@ def _deviations(model: RelationalModel, reward: StructuredReward, scenes: Scenes
 
 
 def incoming_graph(types: Float[Tensor, "S K"], n: int) -> Float[Tensor, "1 E K"]:
-    """The graph in which the edges into every vehicle, senders in index order, have these one-hot types."""
+    """The graph of n vehicles in which the edges into each vehicle, in the order of senders, have these types."""
     assert types.shape[0] == n - 1 == agents_of(n * (n - 1)) - 1
     return torch.stack([types[i if i < j else i - 1] for i, j in pairs(n)])[None]

@@ -1,7 +1,7 @@
-"""Grounded training's first two stages: the reward that makes recorded actions likely, and the graphs that it shows.
+"""The first two stages of grounded training: fit the reward to recorded actions, then infer the graphs.
 
-Laplace's approximation of the MaxEnt likelihood (`gri.planning.laplace_likelihood`, `gri.planning.riccati_likelihood`),
-with all graphs summed out.
+Both use Laplace's approximation of the MaxEnt likelihood, summed over all graphs (`gri.planning.laplace_likelihood`,
+`gri.planning.riccati_likelihood`).
 """
 
 import torch
@@ -26,16 +26,16 @@ def fit_reward(
     generator: torch.Generator,
     progress: Progress = no_progress,
 ) -> None:
-    """Maximise Σ_j log Σ_z p(z_j)·p(u_j | z_j) over the reward's weights and α."""
+    """Fit the reward's weights and the rationality α in place: maximise Σ_j log Σ_z p(z_j)·p(u_j | z_j)."""
     chosen = torch.randperm(len(scenes), generator=generator)[: settings.reward_scenes]
     expansion = _expand(model, reward, scenes[chosen], settings)
-    prior = combination_prior(reward, prior_of(reward, scenes[chosen], settings), scenes.action.shape[1])
+    prior = combination_prior(reward, graph_prior(reward, scenes[chosen], settings), scenes.action.shape[1])
     descent = Descent(reward.parameters(), settings.reward_rate, settings.reward_updates)
     total = settings.reward_updates
     for update, batch in enumerate(batches(len(chosen), settings.reward_batch, total, generator)):
         evidence = torch.logsumexp(_log_likelihood(reward, expansion[batch]) + prior[batch], -1).mean()
-        spread = torch.cat([psi.square() for psi in reward.psi.values()]).sum()
-        descent.step(settings.reward_prior * spread - evidence)
+        squares = torch.cat([psi.square() for psi in reward.psi.values()]).sum()
+        descent.step(settings.reward_prior * squares - evidence)
         progress("reward", update + 1, total, float(evidence.detach()))
 
 
@@ -47,18 +47,18 @@ def scene_posterior(
     settings: GroundedSettings,
     progress: Progress = no_progress,
 ) -> Float[Tensor, "S E K"]:
-    """p(z_ij | u) of every scene under the reward as it stands."""
+    """p(z_ij | u) of every scene under the present reward."""
     parts = []
     chunk = _CHUNK[settings.likelihood]
     for start in range(0, len(scenes), chunk):
         part = scenes[start : start + chunk]
         likelihood = _log_likelihood(reward, _expand(model, reward, part, settings))
-        parts.append(marginals(reward, likelihood, prior_of(reward, part, settings)))
+        parts.append(marginals(reward, likelihood, graph_prior(reward, part, settings)))
         progress("graph", min(start + chunk, len(scenes)), len(scenes), 0.0)
     return torch.cat(parts)
 
 
-_CHUNK = {"dense": 64, "stepwise": 256}  # scenes whose Hessians are held at once
+_CHUNK = {"dense": 64, "stepwise": 256}  # scenes whose Hessians are in memory at once
 
 
 @torch.no_grad()
@@ -81,5 +81,6 @@ def _log_likelihood(reward: StructuredReward, expansion: Expansion | StepExpansi
             return log_likelihood_by_steps(reward, expansion)
 
 
-def prior_of(reward: StructuredReward, scenes: Scenes, settings: GroundedSettings) -> Float[Tensor, "B E K"]:
+def graph_prior(reward: StructuredReward, scenes: Scenes, settings: GroundedSettings) -> Float[Tensor, "B E K"]:
+    """p(z_ij) of every scene."""
     return scene_prior(reward, scenes.state, settings.no_edge_prior, settings.ahead_only)

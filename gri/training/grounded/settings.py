@@ -9,20 +9,22 @@ from gri.training.grounded.optimal_scenes import OptimaSettings
 
 
 class GroundedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="gri"):
-    """Sizes and rates of the three stages."""
+    """Sizes and learning rates of the three stages."""
 
     no_edge_prior: float = 0.9
+    """p(z_ij = 0). The other types have equal shares of the rest."""
     ahead_only: bool = False
-    """Nobody follows a vehicle that ends up behind it; else only the reward says so."""
+    """Rule out in the prior that a vehicle follows one that is behind it at the end of the scene."""
     likelihood: Literal["dense", "stepwise"] = "dense"
-    """Laplace's approximation by one matrix over a window's actions, or over whole scenes in linear time."""
+    """Laplace's approximation. `dense`: one matrix for a window's actions. `stepwise`: whole scenes in linear time."""
     graph_scenes: int | None = None
-    """The posterior over graphs is computed for so many scenes, and the encoder learns from these; None: all."""
+    """Number of scenes for which the posterior is computed; the encoder learns from these. None: all."""
     horizon: int = 19
-    """Actions that a driver is taken to foresee when the likelihood of graphs is computed."""
+    """Number of actions that a driver foresees, for the dense likelihood [steps]."""
     stride: int = 10
+    """Steps from one window of the dense likelihood to the next."""
     judge: Literal["reward", "policy"] = "reward"
-    """Whose likelihood tells graphs apart: the reward's own, or that of a policy first planned on it."""
+    """The likelihood that gives the posterior: that of the reward, or that of a policy planned on the reward."""
     planner_updates: int = 400
     planner_batch: int = 128
     reward_updates: int = 100
@@ -30,39 +32,46 @@ class GroundedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     reward_batch: int = 16
     reward_scenes: int = 256
     reward_prior: float = 0.0
-    """Weight of Σψ² against the mean log-likelihood per vehicle [nats]: a term of which the scenes say little, as of
-    collisions where nobody comes near, keeps about the weight of one unit.
+    """Weight of Σψ² relative to the mean log-likelihood per vehicle [nats].
+
+    The weights of terms on which the scenes have little information, such as collisions, then stay near 2.
     """
     updates: int = 1000
     batch: int = 64
     policy_rate: float = 3e-3
     encoder_rate: float = 1e-3
     encoder_lead: int = 0
-    """Updates of the encoder before the policy's first: graphs that are still wrong undo what a plan has taught it."""
+    """Updates of the encoder alone, before those of the policy. Wrong graphs would spoil a planned policy."""
     encoder_updates: int | None = None
-    """Updates of the encoder beside the policy's, from its first on; None: as many. More repeat the posterior's errors.
+    """Updates of the encoder during those of the policy, from its first on; None: as many as the policy's.
+
+    With more updates, the encoder also learns the errors of the posterior.
     """
     reconstruction: Literal["drawn", "likely", "judged"] = "drawn"
-    """Under which graphs recorded scenes are reproduced: drawn from the encoder, its most probable ones, or those of
-    the posterior, which knows what is to be reproduced; the policy then learns from the scenes that have one.
+    """Graphs under which the policy reproduces scenes.
+
+    `drawn`: sampled from the encoder. `likely`: the encoder's most probable ones. `judged`: the posterior's most
+    probable ones; then the policy learns only from scenes with a posterior.
     """
     return_batch: int = 32
     return_weight: float = 0.02
+    """Weight of the return off the data relative to the reconstruction error [m²]."""
     return_fade: float = 1.0
-    """Share of the return's weight that is left at the end of its decline: reconstruction has the last word."""
+    """Share of `return_weight` that remains at the end of training."""
     action_weight: float = 0.0
-    """Weight of the squared error of actions, in units of the scale, beside that of states [m²]."""
+    """Weight of the squared error of actions, in units of the scale, relative to that of states [m²]."""
     optima: OptimaSettings | None = None
-    """Imitate optima of the return away from the data instead of climbing to them beside the reconstruction.
+    """Imitate optimal scenes off the data, instead of maximising the return there.
 
-    The policy is planned first; the return's batch, weight and fade become those of the distance to the optima.
+    The policy is planned first. `return_batch`, `return_weight` and `return_fade` then apply to the distance to the
+    optimal scenes.
     """
     optima_scale: float = 0.5
-    """Distance [m] from which on being far from an optimum counts linearly only."""
+    """Distance to an optimal scene beyond which the error counts only linearly [m]."""
     return_headway: float | None = None
-    """Least starting headway [m] over which a vehicle may react where the return is maximised away from the data.
+    """Smallest starting headway of an edge in the random graphs off the data [m]; None: no limit.
 
-    None: any. A test of shorter headways is then one of headways never trained.
+    With a limit, a test with shorter headways is a test with headways that were not trained.
     """
     augmentation: Augmentation = Augmentation()
     shifts: Shifts = Shifts()

@@ -1,12 +1,12 @@
-"""Grounded training without an adversary: reward, then graph, then policy.
+"""Grounded training without an adversary: first the reward, then the graph, then the policy.
 
 1. Reward: the weights of the structured reward and the drivers' rationality maximise the likelihood of the recorded
-   actions, summed over all graphs under the sparse prior (`gri.planning.laplace_likelihood`). No label is used.
-2. Graph: the likelihood of the actions, under the reward or under a policy planned on it, gives every scene a
-   posterior over its edges, which the encoder learns by cross-entropy. The encoder never sees how well the policy
-   reproduces a scene, so that the policy cannot redefine what an edge means.
-3. Policy: it reproduces the recorded scenes under graphs drawn from the encoder, and maximises the learned reward
-   under random graphs and from shifted starts, so that an edge keeps its meaning away from the data.
+   actions, summed over all graphs with the sparse prior (`gri.planning.laplace_likelihood`). No label is used.
+2. Graph: the likelihood of the actions, under the reward or under a policy planned on it, gives a posterior over the
+   edges of every scene. The encoder learns this posterior by cross-entropy. It gets no gradient from the policy's
+   reconstruction, so the policy cannot change what an edge means.
+3. Policy: it reproduces the recorded scenes under graphs from the encoder. It also maximises the learned reward under
+   random graphs and from shifted starts, so that an edge keeps its meaning off the data.
 """
 
 import torch
@@ -20,10 +20,10 @@ from gri.networks.model import RelationalModel
 from gri.networks.rollout import rollout
 from gri.progress import Progress, no_progress
 from gri.rewards.structured import StructuredReward
-from gri.training.grounded.augmentation import augment, elsewhere
-from gri.training.grounded.optimal_scenes import distance, optimal_scenes
+from gri.training.grounded.augmentation import augment_histories, sample_off_data
+from gri.training.grounded.optimal_scenes import distance_to_optima, optimal_scenes
 from gri.training.grounded.policy_posterior import posterior_by_policy
-from gri.training.grounded.reward_likelihood import fit_reward, prior_of, scene_posterior
+from gri.training.grounded.reward_likelihood import fit_reward, graph_prior, scene_posterior
 from gri.training.grounded.settings import GroundedSettings
 from gri.training.optimisation import Descent, action_error, batches, reconstruction_loss
 
@@ -36,20 +36,20 @@ def train_grounded(
     seed: int,
     progress: Progress = no_progress,
 ) -> None:
-    """Train the model and the reward in place."""
+    """Train the model and the reward in place. The model must have an encoder. Graphs of scenes are not used."""
     generator = torch.Generator().manual_seed(seed)
     fit_reward(model, reward, scenes, settings, generator, progress)
-    judged = scenes[: settings.graph_scenes]
+    graph_scenes = scenes[: settings.graph_scenes]
     if settings.judge == "policy" or settings.optima is not None:
-        plan(model, reward, scenes, settings, generator, progress)
+        plan_policy(model, reward, scenes, settings, generator, progress)
     if settings.judge == "policy":
-        posterior = posterior_by_policy(model, reward, judged, prior_of(reward, judged, settings))
+        posterior = posterior_by_policy(model, reward, graph_scenes, graph_prior(reward, graph_scenes, settings))
     else:
-        posterior = scene_posterior(model, reward, judged, settings, progress)
+        posterior = scene_posterior(model, reward, graph_scenes, settings, progress)
     fit_encoder_and_policy(model, reward, scenes, posterior, settings, generator, progress)
 
 
-def plan(
+def plan_policy(
     model: RelationalModel,
     reward: StructuredReward,
     scenes: Scenes,
@@ -57,10 +57,10 @@ def plan(
     generator: torch.Generator,
     progress: Progress = no_progress,
 ) -> None:
-    """Let the policy maximise the learned reward under random graphs before it has seen how anyone drives."""
+    """Train the policy in place to maximise the reward under random graphs, before it imitates recorded scenes."""
     descent = Descent(model.decoder.parameters(), settings.policy_rate, settings.planner_updates, clip=1.0)
     for update in range(settings.planner_updates):
-        value = grounded_return(model, reward, scenes, settings, settings.planner_batch, generator)
+        value = off_data_return(model, reward, scenes, settings, settings.planner_batch, generator)
         descent.step(-value)
         progress("plan", update + 1, settings.planner_updates, float(value.detach()))
 
@@ -69,58 +69,62 @@ def fit_encoder_and_policy(
     model: RelationalModel,
     reward: StructuredReward,
     scenes: Scenes,
-    posterior: Float[Tensor, "S E K"],
+    posterior: Float[Tensor, "P E K"],
     settings: GroundedSettings,
     generator: torch.Generator,
     progress: Progress = no_progress,
-    weight: Float[Tensor, " S"] | None = None,
+    weight: Float[Tensor, " P"] | None = None,
 ) -> None:
-    """One update of each per batch; neither sees the other's gradient. The posterior is that of the first scenes.
+    """Train encoder and policy in place; neither gets the other's gradient.
 
-    `weight`: how often the encoder draws each of these while it moves alone.
+    `posterior` is that of the first P scenes. `weight` gives the relative probabilities of these scenes while the
+    encoder is trained alone (`encoder_lead`).
     """
-    assert model.encoder is not None, "grounded training infers graphs; give the model an encoder"
+    assert model.encoder is not None, "got a model without an encoder; grounded training infers graphs and needs one"
     optima = None
     if settings.optima is not None:
-        begun = off_data_returns(model, scenes, settings, settings.optima.scenes, generator)
-        optima = optimal_scenes(model, reward, *begun, settings.optima, progress)
-    beside = settings.updates if settings.encoder_updates is None else settings.encoder_updates
+        start, leader, graph = off_data_batch(model, scenes, settings, settings.optima.scenes, generator)
+        optima = optimal_scenes(model, reward, start, leader, graph, settings.optima, progress)
     lead = settings.encoder_lead
-    to_encoder = Descent(model.encoder.parameters(), settings.encoder_rate, lead + beside)
+    joint_updates = settings.updates if settings.encoder_updates is None else settings.encoder_updates
+    encoder_descent = Descent(model.encoder.parameters(), settings.encoder_rate, lead + joint_updates)
     for update, chosen in enumerate(batches(len(posterior), settings.batch, lead, generator, weight)):
-        error = _cross_entropy(posterior[chosen], _look(model, scenes[chosen], settings, generator))
-        to_encoder.step(error)
-        progress("encoder", update + 1, lead, float(error.detach()))
-    to_policy = Descent(model.decoder.parameters(), settings.policy_rate, settings.updates)
+        inferred = _infer_augmented(model, scenes[chosen], settings, generator)
+        loss = _cross_entropy(posterior[chosen], inferred)
+        encoder_descent.step(loss)
+        progress("encoder", update + 1, lead, float(loss.detach()))
+    policy_descent = Descent(model.decoder.parameters(), settings.policy_rate, settings.updates)
     reproduced = len(posterior) if settings.reconstruction == "judged" else len(scenes)
     for update, chosen in enumerate(batches(reproduced, settings.batch, settings.updates, generator)):
-        batch = scenes[chosen]
-        known, taught = chosen % len(posterior), update < beside
-        shown = _look(model, scenes[known], settings, generator) if taught else None
-        with torch.no_grad():
-            graph = (
-                shown if shown is not None and torch.equal(known, chosen) else _look(model, batch, settings, generator)
-            )
-        if shown is not None:
-            to_encoder.step(_cross_entropy(posterior[known], shown))
-        driving_graph = _believed(graph, posterior[known], settings, generator)
-        driven = rollout(model, batch.start, driving_graph, batch.leader)
+        batch, with_posterior = scenes[chosen], chosen % len(posterior)
+        trains_encoder = update < joint_updates
+        inferred = _infer_augmented(model, scenes[with_posterior], settings, generator) if trains_encoder else None
+        if inferred is not None and torch.equal(with_posterior, chosen):
+            graph = inferred
+        else:
+            with torch.no_grad():
+                graph = _infer_augmented(model, batch, settings, generator)
+        if inferred is not None:
+            encoder_descent.step(_cross_entropy(posterior[with_posterior], inferred))
+        one_hot = _reconstruction_graph(graph, posterior[with_posterior], settings, generator)
+        driven = rollout(model, batch.start, one_hot, batch.leader)
         loss = reconstruction_loss(driven.state, batch.state, model.dynamics)
         if settings.action_weight:
             loss = loss + settings.action_weight * action_error(driven.action, batch.action, model.decoder.action_unit)
         if optima is None:
-            away = -grounded_return(model, reward, scenes, settings, settings.return_batch, generator)
+            off_data_loss = -off_data_return(model, reward, scenes, settings, settings.return_batch, generator)
         else:
-            some = torch.randint(0, len(optima), (settings.return_batch,), generator=generator)
-            away = distance(model, optima[some], settings.optima_scale)
-        to_policy.step(loss + settings.return_weight * faded(update / settings.updates, settings.return_fade) * away)
+            sampled = torch.randint(0, len(optima), (settings.return_batch,), generator=generator)
+            off_data_loss = distance_to_optima(model, optima[sampled], settings.optima_scale)
+        return_weight = settings.return_weight * decayed(update / settings.updates, settings.return_fade)
+        policy_descent.step(loss + return_weight * off_data_loss)
         progress("encoder and policy", update + 1, settings.updates, float(loss.detach()))
 
 
-def _believed(
+def _reconstruction_graph(
     graph: InteractionGraph, posterior: Float[Tensor, "B E K"], settings: GroundedSettings, generator: torch.Generator
 ) -> Float[Tensor, "B E K"]:
-    """The graphs under which scenes are reproduced: the encoder's, or the posterior's."""
+    """One-hot graphs under which scenes are reproduced: from the encoder's `graph`, or from the posterior."""
     match settings.reconstruction:
         case "drawn":
             return graph.sample(generator).detach()
@@ -130,23 +134,26 @@ def _believed(
             return torch.nn.functional.one_hot(posterior.argmax(-1), posterior.shape[-1]).to(posterior)
 
 
-def _cross_entropy(posterior: Float[Tensor, "B E K"], shown: InteractionGraph) -> Float[Tensor, ""]:
-    return -(posterior * shown.logits.log_softmax(-1)).sum(-1).mean()
+def _cross_entropy(posterior: Float[Tensor, "B E K"], inferred: InteractionGraph) -> Float[Tensor, ""]:
+    return -(posterior * inferred.logits.log_softmax(-1)).sum(-1).mean()
 
 
-def faded(done: float, left: float) -> float:
-    """Factor that declines from 1 to `left` as the work done goes from 0 to 1, ever more slowly."""
-    return left + (1 - left) * (1 - done) ** 2
+def decayed(progress: float, final: float) -> float:
+    """Factor that decreases from 1 to `final` as `progress` goes from 0 to 1: final + (1 − final)·(1 − progress)²."""
+    return final + (1 - final) * (1 - progress) ** 2
 
 
-def _look(
+def _infer_augmented(
     model: RelationalModel, scenes: Scenes, settings: GroundedSettings, generator: torch.Generator
 ) -> InteractionGraph:
-    seen = augment(scenes.seen, settings.augmentation, model.history_steps, generator, model.dynamics, model.dt)
-    return model.infer(seen)
+    """The graphs that the encoder infers from augmented histories."""
+    history = augment_histories(
+        scenes.seen, settings.augmentation, model.history_steps, generator, model.dynamics, model.dt
+    )
+    return model.infer(history)
 
 
-def grounded_return(
+def off_data_return(
     model: RelationalModel,
     reward: StructuredReward,
     scenes: Scenes,
@@ -154,15 +161,18 @@ def grounded_return(
     count: int,
     generator: torch.Generator,
 ) -> Float[Tensor, ""]:
-    """Mean learned reward per step under random graphs, half of the starts shifted; each vehicle for itself."""
-    start, leader, graph = off_data_returns(model, scenes, settings, count, generator)
+    """Mean reward per driven vehicle and step over `count` roll-outs from `off_data_batch`.
+
+    No gradient flows from a vehicle's reward to other vehicles.
+    """
+    start, leader, graph = off_data_batch(model, scenes, settings, count, generator)
     driven = rollout(model, start, graph, leader, selfish=True)
     return returns(reward, driven.state, driven.action, graph).mean()
 
 
-def off_data_returns(
+def off_data_batch(
     model: RelationalModel, scenes: Scenes, settings: GroundedSettings, count: int, generator: torch.Generator
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Starts of random scenes, shifted as the settings say, their leader's states, and random graphs (`elsewhere`)."""
+) -> tuple[Float[Tensor, "B N D"], Float[Tensor, "B T D"], Float[Tensor, "B E K"]]:
+    """B = `count` starts, the leader's states, and random one-hot graphs (`sample_off_data`)."""
     types = len(model.config.vocabulary)
-    return elsewhere(scenes, settings.shifts, settings.return_headway, model.dynamics, types, count, generator)
+    return sample_off_data(scenes, settings.shifts, settings.return_headway, model.dynamics, types, count, generator)

@@ -62,5 +62,5 @@ def test_they_mix_with_recorded_ones(tmp_path: Path):
 def test_the_papers_scenes_are_like_no_recorded_ones(tmp_path: Path):
     config = DataConfig(range="paper", graphs="one")
     made = driven(POINT_MASS_1D, [0.0, 5.0, 0.0], 20, 3, config)
-    with pytest.raises(InputError, match="range paper go into no scene file"):
+    with pytest.raises(InputError, match="got scenes of range paper, wanted us101 or highway_merge"):
         write_synthetic(tmp_path / "p.parquet", config, Splits(made[:1], made[1:2], made[2:]))

@@ -7,7 +7,7 @@ import torch
 
 from gri.core.scenes import Scenes
 from gri.data.export import write_synthetic
-from gri.data.mixture import mixed
+from gri.data.mixture import mix_scenes
 from gri.data.store import DataConfig, Splits, scenes_of, scenes_path, write_scenes
 from gri.errors import InputError
 
@@ -20,7 +20,7 @@ def scenes(count: int, steps: int, history: int | None, value: float) -> Scenes:
 
 
 def test_they_become_as_long_as_the_shorter_and_are_seen_for_as_long():
-    both = mixed(scenes(2, 41, 25, 1.0), scenes(3, 40, None, 2.0))
+    both = mix_scenes(scenes(2, 41, 25, 1.0), scenes(3, 40, None, 2.0))
     assert both.state.shape == (5, 3, 40, 6)
     assert both.action.shape == (5, 2, 39, 2)
     assert both.graph[:, 0].tolist() == [1, 1, 2, 2, 2]
@@ -30,7 +30,7 @@ def test_they_become_as_long_as_the_shorter_and_are_seen_for_as_long():
 
 
 def test_without_histories_the_scene_is_what_is_seen():
-    both = mixed(scenes(2, 45, None, 1.0), scenes(3, 30, None, 2.0))
+    both = mix_scenes(scenes(2, 45, None, 1.0), scenes(3, 30, None, 2.0))
     assert both.history is None
     assert both.seen.shape == (5, 3, 30, 6)
 

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from gri.core.edges import EdgeType
-from gri.data.ngsim.drawn_lane_changes import MARK
+from gri.data.ngsim.sampled_lateral_motion import SOURCE_SUFFIX
 from gri.data.ranges.recorded import NGSIM_CAR_FOLLOWING, SUMO_CAR_FOLLOWING, SUMO_MERGE
 from gri.data.recorded import recorded_scenes, scenes_to_test
 from gri.data.scene_file.schema import Header, SceneBlock, names_of, writing
@@ -58,7 +58,7 @@ def test_vehicles_ahead_count_as_five_metres_long(tmp_path: Path):
 
 
 def test_scenes_with_drawn_motion_are_never_tested_on(tmp_path: Path):
-    drawn = replace(block(), source=np.array([f"us-101{MARK}"], object), vehicle=np.array([[7, 8, 9]]))
+    drawn = replace(block(), source=np.array([f"us-101{SOURCE_SUFFIX}"], object), vehicle=np.array([[7, 8, 9]]))
     both = written(tmp_path / "a.parquet", drawn, block())
     tested, found, left_out = scenes_to_test(both, SUMO_CAR_FOLLOWING, None)
     assert (len(tested), len(found), left_out) == (1, 1, 1)

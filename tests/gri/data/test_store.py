@@ -31,7 +31,7 @@ def test_a_damaged_file_is_named(tmp_path: Path, keep: int):
     scenes_of(SMALL, tmp_path)
     path = scenes_path(SMALL, tmp_path)
     path.write_bytes(path.read_bytes()[:keep])
-    with pytest.raises(InputError, match="not a scenes file, or damaged"):
+    with pytest.raises(InputError, match="not a file of scenes, or damaged"):
         read_scenes(path)
 
 

@@ -11,12 +11,12 @@ from gri.evaluation.out_of_distribution import (
     area,
     at_headway,
     curve,
-    driver,
+    drive_by_policy,
     follow_edge,
-    keep,
+    mean_height,
     modal_edges,
+    remaining_pair,
     score,
-    trapezoid,
 )
 from gri.networks.decoder import DecoderConfig
 from gri.networks.model import RelationalModel
@@ -24,7 +24,7 @@ from gri.networks.model import RelationalModel
 
 def test_starts_keep_the_two_vehicles_and_get_the_headway():
     start = torch.tensor([[[0.0, 5.0, 0.0], [6.0, 4.0, 0.0], [13.0, 5.0, 0.0]]])
-    pair = at_headway(keep(start, (0, 2)), -3.0)
+    pair = at_headway(remaining_pair(start, (0, 2)), -3.0)
     assert pair[0, :, 0].tolist() == [16.0, 13.0]
     assert pair[0, :, 1].tolist() == [5.0, 5.0]
 
@@ -49,15 +49,15 @@ def test_forced_graphs():
 
 
 def test_area_is_a_share_of_the_range():
-    assert trapezoid([(4.0, 1.0), (-8.0, 0.0)]) == pytest.approx(0.5)
-    assert trapezoid([(0.0, 1.0), (4.0, 1.0), (-4.0, 0.0)]) == pytest.approx(0.75)
+    assert mean_height([(4.0, 1.0), (-8.0, 0.0)]) == pytest.approx(0.5)
+    assert mean_height([(0.0, 1.0), (4.0, 1.0), (-4.0, 0.0)]) == pytest.approx(0.75)
 
 
 def test_both_ways_to_drive_vehicle_1_are_run_with_two_vehicles():
     torch.manual_seed(0)
     model = RelationalModel(model_config(PAPER, DecoderConfig(hidden=8), None)).requires_grad_(False)
     start = torch.tensor([[[0.0, 5.0, 0.0], [6.0, 4.0, 0.0]]] * 3)
-    drive = driver(model, follow_edge(FOLLOWING), steps=5)
+    drive = drive_by_policy(model, follow_edge(FOLLOWING), steps=5)
     given, free = drive(start, Front.CONSTANT_SPEED), drive(start, Front.POLICY)
     assert given.shape == free.shape == (3, 2, 6, 3)
     torch.testing.assert_close(given[0, 1, :, 1], torch.full((6,), 4.0))

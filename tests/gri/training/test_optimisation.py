@@ -6,8 +6,8 @@ from torch import nn
 
 from gri.core.dynamics import POINT_MASS_1D, POINT_MASS_2D
 from gri.training.optimisation import (
-    ACROSS,
-    LEFT_OUT,
+    LATERAL_WEIGHT,
+    MAX_SKIPPED_UPDATES,
     Descent,
     action_error,
     batches,
@@ -48,7 +48,7 @@ def test_errors_across_the_road_count_more():
     recorded = torch.zeros(1, 2, 1, 6)
     state = recorded.clone()
     state[0, 0, 0] = torch.tensor([2.0, 0.5, 1.0, 0.2, 9.0, 9.0])  # x, y, vx, vy; no accelerations
-    expected = 2.0**2 + (0.5 * ACROSS) ** 2 + 1.0**2 + (0.2 * ACROSS) ** 2
+    expected = 2.0**2 + (0.5 * LATERAL_WEIGHT) ** 2 + 1.0**2 + (0.2 * LATERAL_WEIGHT) ** 2
     torch.testing.assert_close(reconstruction_loss(state, recorded, POINT_MASS_2D), torch.tensor(expected))
 
 
@@ -79,7 +79,7 @@ def test_an_update_without_a_finite_gradient_is_left_out():
 def test_training_that_ran_away_for_good_is_an_error():
     weight = nn.Parameter(torch.ones(2))
     descent = Descent([weight], 0.1, 100)
-    for _ in range(LEFT_OUT):
+    for _ in range(MAX_SKIPPED_UPDATES):
         descent.step(weight.square().sum() * torch.inf)
     with pytest.raises(FloatingPointError, match="lower the rates"):
         descent.step(weight.square().sum() * torch.inf)

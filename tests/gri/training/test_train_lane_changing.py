@@ -20,10 +20,10 @@ from gri.rewards.structured import LaneRewardConfig
 from gri.training.adversarial.airl import AdversarialSettings
 from gri.training.baselines.nri import NriSettings
 from gri.training.baselines.supervised import SupervisedSettings
-from gri.training.grounded.augmentation import Shifts, elsewhere, random_graphs, shift
+from gri.training.grounded.augmentation import Shifts, random_graphs, sample_off_data, shift_starts
 from gri.training.grounded.optimal_scenes import OptimaSettings
 from gri.training.grounded.settings import GroundedSettings
-from gri.training.grounded.train_grounded import faded
+from gri.training.grounded.train_grounded import decayed
 from gri.training.train import Objective, TrainConfig, train
 
 TINY = DataConfig(range="lane_changing", graphs="mixed", train=12, validation=4, test=4, expert_updates=1)
@@ -109,13 +109,13 @@ def test_half_of_the_random_edges_are_none_and_the_rest_of_any_type(generator: t
 
 
 def test_the_return_fades_from_all_of_its_weight_to_what_is_left():
-    assert [faded(done, 0.2) for done in (0.0, 0.5, 1.0)] == pytest.approx([1.0, 0.4, 0.2])
-    assert faded(0.7, 1.0) == 1.0
+    assert [decayed(done, 0.2) for done in (0.0, 0.5, 1.0)] == pytest.approx([1.0, 0.4, 0.2])
+    assert decayed(0.7, 1.0) == 1.0
 
 
 def test_starts_are_shifted_along_and_across_the_road(generator: torch.Generator):
     start = torch.zeros(200, 3, 6)
-    moved = shift(start, Shifts(position=(0.0, 20.0), lateral=(-1.0, 1.0), speed=(1.0, 2.0)), generator, DUBINS)
+    moved = shift_starts(start, Shifts(position=(0.0, 20.0), lateral=(-1.0, 1.0), speed=(1.0, 2.0)), generator, DUBINS)
     x, y, v, *rest = moved[:100, :2].unbind(-1)
     assert 0 <= x.min() < 1 < 19 < x.max() <= 20
     assert -1 <= y.min() < -0.9 < 0.9 < y.max() <= 1
@@ -125,7 +125,7 @@ def test_starts_are_shifted_along_and_across_the_road(generator: torch.Generator
 
 
 def test_held_out_headways_have_no_edges(splits: Splits, generator: torch.Generator):
-    start, leader, graph = elsewhere(splits.train, Shifts(position=(0.0, 20.0)), 8.0, DUBINS, 4, 500, generator)
+    start, leader, graph = sample_off_data(splits.train, Shifts(position=(0.0, 20.0)), 8.0, DUBINS, 4, 500, generator)
     assert leader.shape == (500, 30, 6)
     senders, receivers = edge_ends(3)
     near = start[:, senders, 0] - start[:, receivers, 0] < 8.0

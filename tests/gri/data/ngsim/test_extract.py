@@ -11,7 +11,7 @@ from gri.core.graph import FOLLOWING, EdgeType
 from gri.data.ngsim import extract as ngsim_extract
 from gri.data.ngsim.defects import clean
 from gri.data.ngsim.extract import KINDS, extract, inspect
-from gri.data.ngsim.lane_changing import groups
+from gri.data.ngsim.lane_changing import lane_change_groups
 from gri.data.ngsim.recordings import recordings
 from gri.data.ngsim.rules import Rules, splits_of
 from gri.data.ngsim.smoothing import Motion, smoothed
@@ -68,21 +68,21 @@ def test_each_rule_turns_down_and_is_counted(tmp_path: Path, change: dict, reaso
     assert made.rejected["car_following", reason] == 1
 
 
-def test_who_is_cut_in_on_is_no_triple(tmp_path: Path):
-    with pytest.raises(InputError, match="no scene keeps the rules"):
+def test_a_pair_with_a_vehicle_between_them_is_no_triple(tmp_path: Path):
+    with pytest.raises(InputError, match="no scene obeys the rules"):
         cut(merging(frames=70, crossing=20), tmp_path)
 
 
 @pytest.mark.parametrize(
-    ("reading", "vehicles", "edges"),
+    ("hypothesis", "vehicles", "edges"),
     [
         ("H1", (1, 2, 3), {(1, 0): EdgeType.YIELD, (2, 1): EdgeType.FOLLOW}),
         ("H2", (1, 4, 2), {(2, 0): EdgeType.YIELD, (0, 1): EdgeType.YIELD, (2, 1): EdgeType.FOLLOW}),
     ],
 )
-def test_a_lane_change_gives_groups_of_both_readings(tmp_path: Path, reading, vehicles, edges):
+def test_a_lane_change_gives_groups_of_both_hypotheses(tmp_path: Path, hypothesis, vehicles, edges):
     cut(merging(), tmp_path, changing_stride=None)
-    scenes = read(tmp_path / "out.parquet", f"lane_changing_{reading.lower()}", POINT_MASS_2D, YIELDING)
+    scenes = read(tmp_path / "out.parquet", f"lane_changing_{hypothesis.lower()}", POINT_MASS_2D, YIELDING)
     np.testing.assert_array_equal(scenes.vehicle, [vehicles])
     named = {(i, j): YIELDING[int(k)] for (i, j), k in zip(PAIRS, scenes.graph[0], strict=True)}
     assert {pair: kind for pair, kind in named.items() if kind is not EdgeType.NONE} == edges
@@ -95,7 +95,7 @@ def test_a_lane_change_gives_groups_of_both_readings(tmp_path: Path, reading, ve
 PAIRS = [(0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1)]
 
 
-def test_drawn_lane_changes_are_of_training_vehicles_and_obey_the_dynamics(tmp_path: Path):
+def test_sampled_lane_changes_are_of_training_vehicles_and_obey_the_dynamics(tmp_path: Path):
     both = pd.concat([platoon(3, frames=100), platoon(3, frames=100, first_id=301, lane=3)])
     made = cut(both, tmp_path, drawn=3)
     assert made.scenes["us-101, lateral motion drawn", "lane_changing_h2", "train"] == 9  # starts 0, 5, 10, three each
@@ -115,7 +115,7 @@ def test_scenes_are_the_same_however_many_are_in_memory(tmp_path: Path, monkeypa
     portal = as_portal({"us-101": pd.concat(twice)}, tmp_path / "portal.csv")
     steps, tables = [], []
     for at_once in (2, 10_000):
-        monkeypatch.setattr(ngsim_extract, "AT_ONCE", at_once)
+        monkeypatch.setattr(ngsim_extract, "SCENES_PER_BLOCK", at_once)
         extract([portal], tmp_path / "out.parquet", Rules(drawn=0), progress=lambda *step: steps.append(step))
         tables.append(pd.read_parquet(tmp_path / "out.parquet"))
     pd.testing.assert_frame_equal(*tables)
@@ -129,7 +129,7 @@ def test_two_lane_changes_are_no_scene(tmp_path: Path):
     table.loc[back, "Local_X"] = 30.0 - 12.0 / (1 + np.exp((table["Frame_ID"][back] - 80) / 3))
     table.loc[back, "Lane_ID"] = np.where(table["Local_X"][back] > 24, 3, 2)
     counts: Counter[str] = Counter()
-    assert len(groups(motion_of(table, tmp_path), Rules(), "H1", counts)) == 0
+    assert len(lane_change_groups(motion_of(table, tmp_path), Rules(), "H1", counts)) == 0
     assert counts["several lane changes"] > 0
 
 

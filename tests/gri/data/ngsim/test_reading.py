@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from gri.data.ngsim import reading
-from gri.data.ngsim.reading import chunks
+from gri.data.ngsim.reading import read_chunks
 from gri.data.ngsim.recordings import Recording, recordings, store_recordings
 from gri.errors import InputError
 from tests.gri.data.ngsim.conftest import CLOCK, as_portal, as_text, platoon
@@ -34,11 +34,11 @@ def test_text_csv_gzip_and_zip_hold_the_same(tmp_path: Path):
         np.testing.assert_array_equal(other.rows, first.rows)
 
 
-def test_portal_csv_is_sorted_out_by_site_and_period(tmp_path: Path):
+def test_portal_csv_is_separated_by_site_and_period(tmp_path: Path):
     second = platoon(clock=CLOCK + 930_000)  # vehicles of the same numbers, 15.5 min later
     tables = {"us-101": pd.concat([platoon(), second]), "i-80": platoon(2, clock=1113433135300)}
-    found = read(as_portal(tables, tmp_path / "portal.csv"))
-    assert [(r.site, r.clock, len(r.rows)) for r in found] == [
+    counts = read(as_portal(tables, tmp_path / "portal.csv"))
+    assert [(r.site, r.clock, len(r.rows)) for r in counts] == [
         ("i-80", 1113433135300, 160),
         ("us-101", CLOCK, 240),
         ("us-101", CLOCK + 930_000, 240),
@@ -49,17 +49,17 @@ def test_chunks_smaller_than_a_recording_make_the_same_recording(tmp_path: Path,
     path = as_text(platoon(), tmp_path / "a.txt")
     whole = read(path)[0].rows
     monkeypatch.setattr(reading, "CHUNK", 17)
-    assert [len(table) for table in chunks(path)][:2] == [17, 17]
+    assert [len(table) for table in read_chunks(path)][:2] == [17, 17]
     np.testing.assert_array_equal(read(path)[0].rows, whole)
 
 
-def test_site_is_told_by_the_option_the_name_or_the_day(tmp_path: Path):
+def test_site_is_given_by_the_option_the_name_or_the_day(tmp_path: Path):
     assert read(as_text(platoon(), tmp_path / "trajectories-0805am-0820am.txt"))[0].site == "us-101"
     assert read(as_text(platoon(), tmp_path / "i80.txt"))[0].site == "i-80"
     assert read(as_text(platoon(), tmp_path / "mine.txt"), "elsewhere")[0].site == "elsewhere"
 
 
-def test_rows_that_are_no_numbers_are_counted(tmp_path: Path):
+def test_rows_that_are_not_numbers_are_counted(tmp_path: Path):
     path = tmp_path / "us-101.csv"
     table = platoon().astype(object)
     table.loc[5, "Local_Y"] = "n/a?"
@@ -73,7 +73,7 @@ def test_truncated_gzip_is_one_clear_error(tmp_path: Path):
     path = tmp_path / "us-101.csv.gz"
     content = gzip.compress(platoon().to_csv(index=False).encode())
     path.write_bytes(content[: len(content) // 2])
-    with pytest.raises(InputError, match="cut short"):
+    with pytest.raises(InputError, match="truncated"):
         read(path)
 
 
@@ -96,7 +96,7 @@ def test_files_that_are_not_ngsim_are_one_clear_error(tmp_path: Path, content: b
 def test_clock_that_does_not_fit_the_frames_is_an_error(tmp_path: Path):
     table = platoon(8, 80)
     table["Global_Time"] = CLOCK + 7 * np.arange(len(table))
-    with pytest.raises(InputError, match="do not belong together"):
+    with pytest.raises(InputError, match="belong together"):
         read(as_text(table, tmp_path / "us-101.txt"))
 
 

@@ -4,7 +4,7 @@ import torch
 
 from gri.core.dynamics import POINT_MASS_1D, POINT_MASS_2D
 from gri.data.ngsim.defects import Tracks
-from gri.data.ngsim.smoothing import Smoothing, axis, smoothed
+from gri.data.ngsim.smoothing import Smoothing, smooth_axis, smoothed
 
 DT = 0.2
 
@@ -32,7 +32,7 @@ def test_states_obey_the_models_dynamics_exactly():
 def test_polynomials_of_the_filters_degree_pass_unchanged():
     time = np.arange(60) * 0.1
     kept = np.arange(0, 60, 2)
-    x, v, a, deviation = axis(3 + 10 * time + 0.5 * time**2, kept, Smoothing())
+    x, v, a, deviation = smooth_axis(3 + 10 * time + 0.5 * time**2, kept, Smoothing())
     np.testing.assert_allclose(v, 10 + time[kept], atol=1e-8)
     np.testing.assert_allclose(a, 1.0, atol=1e-7)
     np.testing.assert_allclose(x, 3 + 10 * time[kept] + 0.5 * time[kept] ** 2, atol=1e-8)

@@ -120,9 +120,9 @@ def test_errors_name_the_file_and_what_is_missing(tmp_path: Path):
     path = written(tmp_path, block(2), block(2, kind="lane_changing"), block(2, steps=5, kind="lane_changing"))
     with pytest.raises(InputError, match="no scenes of kind parking"):
         read(path, "parking", POINT_MASS_1D, FOLLOWING)
-    with pytest.raises(InputError, match="differ in length"):
+    with pytest.raises(InputError, match="different numbers of steps"):
         read(path, "lane_changing", POINT_MASS_1D, FOLLOWING)
-    with pytest.raises(InputError, match="column y is not filled in"):
+    with pytest.raises(InputError, match="column y has missing values"):
         read(path, "car_following", DUBINS, LANE_CHANGING)
     with pytest.raises(InputError, match="got edge type follow"):
         read(path, "car_following", POINT_MASS_1D, (EdgeType.NONE,))

@@ -8,7 +8,13 @@ from torch.nn.functional import softplus
 from gri.data.ranges.recorded import NGSIM_CAR_FOLLOWING
 from gri.errors import InputError
 from gri.rewards.structured import NaturalisticConfig, RewardConfig
-from gri.training.adversarial.airl import RATIONALITY, edge_gradient, expert_value, in_the_game, spread
+from gri.training.adversarial.airl import (
+    FIXED_RATIONALITY,
+    edge_gradient,
+    expert_objective,
+    squared_logit_differences,
+    with_fixed_rationality,
+)
 from gri.training.adversarial.discriminator import airl_logit, discriminator_loss
 from gri.training.optimisation import Bottleneck, updated_beta
 from gri.training.train import read_train_config
@@ -53,18 +59,18 @@ def test_beta(form: str, expected: float):
 def test_the_experts_half_of_j_loses_its_slope_where_d_is_sure_and_the_contrast_form_does_not():
     f = torch.zeros(2)
     log_pi = torch.tensor([0.0, -20.0], requires_grad=True)
-    literal = expert_value(f, log_pi, "literal")
+    literal = expert_objective(f, log_pi, "literal")
     torch.testing.assert_close(literal[0], torch.tensor(log(2.0)))  # -log D with D = 1/2
     (slope,) = torch.autograd.grad(literal.sum(), log_pi)
     torch.testing.assert_close(slope, torch.tensor([0.5, 0.0]), atol=1e-6, rtol=0)
-    (slope,) = torch.autograd.grad(expert_value(f, log_pi, "contrast").sum(), log_pi)
+    (slope,) = torch.autograd.grad(expert_objective(f, log_pi, "contrast").sum(), log_pi)
     assert slope.tolist() == [1.0, 1.0]
 
 
 def test_the_penalty_is_on_differences_of_logits():
     logits = torch.tensor([[[1.0, 4.0], [2.0, 2.0]], [[0.0, 1.0], [5.0, 4.0]]])
-    assert float(spread(logits)) == (9 + 0 + 1 + 1) / 2
-    assert float(spread(logits + 7)) == float(spread(logits))
+    assert float(squared_logit_differences(logits)) == (9 + 0 + 1 + 1) / 2
+    assert float(squared_logit_differences(logits + 7)) == float(squared_logit_differences(logits))
 
 
 @pytest.mark.parametrize(("field", "value"), [("start", "{}"), ("weights", "{node: {speed: 1.5}}")])
@@ -77,5 +83,5 @@ def test_what_rewards_without_named_terms_have_no_use_for_is_refused(tmp_path: P
 
 
 def test_rewards_of_recorded_traffic_are_scaled_in_the_game_and_others_are_not():
-    assert in_the_game(NGSIM_CAR_FOLLOWING.reward) == NaturalisticConfig(temperature=RATIONALITY)
-    assert in_the_game(RewardConfig()) == RewardConfig()
+    assert with_fixed_rationality(NGSIM_CAR_FOLLOWING.reward) == NaturalisticConfig(temperature=FIXED_RATIONALITY)
+    assert with_fixed_rationality(RewardConfig()) == RewardConfig()

@@ -10,7 +10,7 @@ from gri.networks.model import RelationalModel
 from gri.networks.rollout import rollout
 from gri.rewards.structured import StructuredReward
 from gri.training.grounded.augmentation import random_graphs
-from gri.training.grounded.optimal_scenes import OptimaSettings, distance, incoming, optimal_scenes
+from gri.training.grounded.optimal_scenes import OptimaSettings, distance_to_optima, incoming, optimal_scenes
 
 COUNT = 6
 
@@ -89,7 +89,7 @@ def test_distances_count_squared_when_small_and_linearly_when_large(
         """Both vehicles' optimum `by` metres to the left of where the model drives them, but for the start."""
         state = driven.state.detach().clone()
         state[:, :2, 1:, 1] += by
-        return distance(model, Scenes(state, driven.action.detach(), graph), scale=1.0)
+        return distance_to_optima(model, Scenes(state, driven.action.detach(), graph), scale=1.0)
 
     assert moved(0.0) == 0
     torch.testing.assert_close(moved(0.01), torch.tensor(0.01**2 * 7 / 8), rtol=1e-2, atol=0)

@@ -8,7 +8,7 @@ from gri.networks.model import ModelConfig, RelationalModel
 from gri.networks.rollout import rollout
 from gri.planning.laplace_likelihood import scene_prior
 from gri.rewards.structured import StructuredReward
-from gri.training.grounded.augmentation import Augmentation, Shifts, augment, random_graphs, shift
+from gri.training.grounded.augmentation import Augmentation, Shifts, augment_histories, random_graphs, shift_starts
 from gri.training.grounded.policy_posterior import incoming_graph, posterior_by_policy
 
 
@@ -40,7 +40,7 @@ def test_a_policy_recognises_the_graphs_it_drove_by(generator: torch.Generator):
 def test_shifts_move_half_of_the_driven_vehicles(generator: torch.Generator):
     start, _ = sample_starts(PAPER, 50, generator)
     shifts = Shifts(position=(1.0, 2.0), speed=(-20.0, -10.0), acceleration=(3.0, 3.0))
-    moved = shift(start, shifts, generator) - start
+    moved = shift_starts(start, shifts, generator) - start
     assert (moved[25:] == 0).all()
     assert (moved[:, 2] == 0).all()
     assert (moved[:25, :2, 0] >= 1.0).all()
@@ -51,7 +51,7 @@ def test_shifts_move_half_of_the_driven_vehicles(generator: torch.Generator):
 def test_augmentation_stretches_headways_and_keeps_the_rest(generator: torch.Generator):
     state = torch.zeros(6, 3, 30, 3)
     state[..., 0] = torch.tensor([0.0, 10.0, 30.0])[:, None] + torch.arange(30.0)
-    seen = augment(state, Augmentation(stretch=(2.0, 2.0)), 20, generator)
+    seen = augment_histories(state, Augmentation(stretch=(2.0, 2.0)), 20, generator)
     headway = seen[:, 1:, :, 0] - seen[:, :-1, :, 0]
     torch.testing.assert_close(headway[:, 0], torch.full((6, 30), 20.0))
     torch.testing.assert_close(headway[:, 1], torch.full((6, 30), 40.0))
@@ -61,7 +61,7 @@ def test_augmentation_stretches_headways_and_keeps_the_rest(generator: torch.Gen
 def test_headways_are_those_to_the_next_vehicle_ahead_in_whatever_order_they_are_numbered(generator: torch.Generator):
     state = torch.zeros(6, 3, 30, 3)
     state[..., 0] = torch.tensor([10.0, 0.0, 30.0])[:, None] + torch.arange(30.0)
-    seen = augment(state, Augmentation(stretch=(2.0, 2.0)), 30, generator)
+    seen = augment_histories(state, Augmentation(stretch=(2.0, 2.0)), 30, generator)
     torch.testing.assert_close(seen[0, :, 0, 0], torch.tensor([-10.0, -30.0, 30.0]))
 
 
@@ -70,7 +70,7 @@ def test_augmentation_shows_faster_traffic_with_headways_to_match(generator: tor
     state = torch.zeros(6, 3, 30, 3)
     state[..., 0] = torch.tensor([20.0, 8.0, 30.0])[:, None] + 0.2 * 5.0 * torch.arange(30.0)
     state[..., 1] = 5.0
-    seen = augment(state, Augmentation(faster=12.0), 30, generator)
+    seen = augment_histories(state, Augmentation(faster=12.0), 30, generator)
     added = seen[:, :, 0, 1] - 5.0
     assert float(added.amin()) >= 0
     assert 5 < float(added.amax()) <= 12
@@ -81,6 +81,6 @@ def test_augmentation_shows_faster_traffic_with_headways_to_match(generator: tor
 
 def test_augmentation_cuts_a_window(generator: torch.Generator):
     state = torch.arange(30.0)[None, None, :, None].expand(2, 3, 30, 3)
-    seen = augment(state, Augmentation(window=True), 20, generator)
+    seen = augment_histories(state, Augmentation(window=True), 20, generator)
     assert seen.shape == (2, 3, 20, 3)
     assert (seen[..., 2].diff(dim=2) == 1).all()

@@ -99,9 +99,9 @@ def test_the_likelihood_rises():
 
 def test_rare_speeds_are_drawn_as_often_as_frequent_ones():
     speed = torch.cat([torch.full((80,), 3.0), torch.full((40,), 9.0), torch.full((5,), 17.0)])
-    weight = recorded_traffic.even_weights(speed, width=2.0)
+    weight = recorded_traffic.speed_balanced_weights(speed, width=2.0)
     share = [float(weight[speed == v].sum()) for v in (3.0, 9.0, 17.0)]
-    assert share == pytest.approx([1.0, 1.0, 5 / recorded_traffic.FEW])
+    assert share == pytest.approx([1.0, 1.0, 5 / recorded_traffic.MIN_SCENES_PER_BIN])
 
 
 def test_scenes_of_all_speeds_make_the_reward(monkeypatch: pytest.MonkeyPatch):
