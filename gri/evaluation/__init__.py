@@ -1,4 +1,7 @@
-"""How good a model is: the paper's metrics, scores of graphs, out-of-distribution tests, diagnostics.
+"""How good is a model? Metrics of the paper, scores of graphs, tests out of distribution, and diagnostics.
 
-Begin with `evaluate.evaluate`; `metrics` holds the pure functions that it averages.
+`evaluate.evaluate` computes the metrics of one model on test scenes; `gri evaluate` and training use it. `metrics` has
+the pure functions and their means with intervals, `graph_scores` more on graphs. `out_of_distribution`, `diagnostics`
+and `recorded_scores` are for `gri.paper`, `true_relations` compares inferred graphs with a simulator's. Begin reading
+with `evaluate`, then `metrics`.
 """

@@ -1,9 +1,8 @@
-"""How good are inferred graphs? What the accuracy over all edges does not say (Sec. VI-B).
+"""Scores of inferred graphs that the accuracy over all edges does not show (Sec. VI-B).
 
-The sparse truth makes the empty graph look good (two thirds of the chain's edges are "none"), and labels
-without meaning have to be renamed before they can be compared at all. Renaming has its own trap: the mean
-accuracy over all K! namings is exactly 1/K, because each true type meets each label in (K−1)! of them, so
-that the best naming never scores below 1/K, whatever was inferred.
+True graphs are sparse, so the empty graph has a high accuracy: two thirds of the chain's edges are "none". Labels
+without meaning must be renamed to types before a comparison. The best of all K! namings has an accuracy of at least
+1/K for any inferred graph, because the mean over all namings is exactly 1/K.
 """
 
 from itertools import permutations
@@ -19,28 +18,28 @@ Types = Int[Tensor, "S E"]
 
 
 def edges_into_driven(types: Types) -> Int[Tensor, "S F"]:
-    """The edges that enter driven vehicles; no data speaks of those into the leader."""
+    """The edges into driven vehicles. Scenes have no information on edges into the leader, the last vehicle."""
     n = agents_of(types.shape[1])
     return types[:, [edge for edge, (_, receiver) in enumerate(pairs(n)) if receiver < n - 1]]
 
 
 def f1(inferred: Types, true: Types, kind: int) -> float | None:
-    """2·TP / (2·TP + FP + FN) of one type over all given edges; None where it neither occurs nor is inferred."""
-    hit = int(((inferred == kind) & (true == kind)).sum())
-    called, present = int((inferred == kind).sum()), int((true == kind).sum())
-    return 2 * hit / (called + present) if called + present else None
+    """F1 = 2·TP / (2·TP + FP + FN) of type `kind` over all given edges; None if it neither occurs nor is inferred."""
+    true_positives = int(((inferred == kind) & (true == kind)).sum())
+    predicted, present = int((inferred == kind).sum()), int((true == kind).sum())
+    return 2 * true_positives / (predicted + present) if predicted + present else None
 
 
 def renamed(inferred: Types, naming: tuple[int, ...]) -> Types:
-    """Label k read as type naming[k]."""
+    """The graphs in which label k is replaced by type naming[k]."""
     return torch.tensor(naming)[inferred]
 
 
 def best_naming(inferred: Types, true: Types, types: int, move_none: bool) -> tuple[int, ...]:
-    """The naming with the highest accuracy over all scenes, one for the whole data set.
+    """The naming of K = `types` labels with the highest accuracy over all scenes; one naming for the whole data set.
 
-    `move_none` also renames label 0. A model in which type 0 sends no message has a label 0 that does mean
-    something, and the paper's own figures (below 1/3 with three types) only come out if it is kept.
+    With `move_none`, label 0 is renamed as well. If type 0 sends no message, label 0 has a meaning, however. The
+    paper's accuracies (below 1/3 with three types) are possible only if label 0 is not renamed.
     """
     free = range(types) if move_none else range(1, types)
     fixed = () if move_none else (0,)
@@ -49,18 +48,21 @@ def best_naming(inferred: Types, true: Types, types: int, move_none: bool) -> tu
 
 
 def edge_budget(edges: int, total: int, no_edge_prior: float, types: int = 2) -> float:
-    """KL of a certain graph to the sparse prior, mean per edge [nats]: what I_c has to leave room for."""
+    """KL[q || p] of a certain graph q to the sparse prior p, with `edges` of `total` edges, mean per edge [nats].
+
+    I_c must be at least this large, or the bottleneck does not allow this graph.
+    """
     none, other = -log(no_edge_prior), -log((1 - no_edge_prior) / (types - 1))
     return ((total - edges) * none + edges * other) / total
 
 
 def shuffled(state: Float[Tensor, "S N T D"], order: Int[Tensor, " N"]) -> Float[Tensor, "S N T D"]:
-    """The same scene with vehicle order[j] at place j."""
+    """The same scenes with the vehicles renumbered: vehicle order[j] becomes vehicle j."""
     return state[:, order]
 
 
 def unshuffled(types: Types, order: Int[Tensor, " N"]) -> Types:
-    """Edge types inferred from a shuffled scene, back at the pairs they belong to."""
+    """Edge types that were inferred from shuffled scenes, in the original numbering."""
     n = len(order)
     places = {int(vehicle): place for place, vehicle in enumerate(order)}
     return types[:, [pairs(n).index((places[i], places[j])) for i, j in pairs(n)]]

@@ -1,4 +1,4 @@
-"""Inferred graphs beside the relations that a simulator knows, and beside what the geometry suggests."""
+"""Comparison of inferred graphs with the true relations of a simulator, and with those that the geometry suggests."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -15,12 +15,12 @@ from gri.evaluation.metrics import Summary
 
 @dataclass(frozen=True)
 class TruthComparison:
-    """Accuracies over all six edges, and who is taken for what."""
+    """Accuracies over all edges, and confusion matrices of the edge types."""
 
     accuracy: dict[str, Summary]
-    """Of inferred graphs, of the hypothesis, and of the graph that has the most frequent type of every edge."""
+    """Accuracy of the inferred graphs, of the hypothesis, and of the constant graph of the most frequent types."""
     confusion: dict[str, Int[Tensor, "K K"]]
-    """Edges by true type (row) and inferred type (column)."""
+    """Number of edges by true type (row) and inferred type (column)."""
 
 
 def compare_with_truth(
@@ -29,7 +29,10 @@ def compare_with_truth(
     hypothesis: Int[Tensor, "S E"],
     unambiguous: Bool[Tensor, " S"],
 ) -> TruthComparison:
-    """Compare graphs, also on those scenes alone whose one graph says all that their steps say."""
+    """Compare the graphs on all scenes, and on the unambiguous ones alone.
+
+    A scene is unambiguous if its graph contains all relations of its steps.
+    """
     kinds = int(torch.stack([inferred, true]).max()) + 1
     accuracy, confusion, parts = {}, {}, {"": torch.ones_like(unambiguous)}
     if count := int(unambiguous.sum()):
@@ -44,7 +47,7 @@ def compare_with_truth(
 
 
 def truth_tables(found: TruthComparison, vocabulary: Vocabulary) -> Iterator[Table]:
-    """What a person reads."""
+    """The comparison as tables for the terminal."""
     accuracy = Table("accuracy, 6 edges", "mean ± std over scenes", "95 % ±", title="Beside the simulator's truth")
     for name, value in found.accuracy.items():
         accuracy.add_row(name, str(value), f"{value.half_width:.4f}")
