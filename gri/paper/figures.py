@@ -20,7 +20,7 @@ from gri.evaluation import diagnostics
 from gri.evaluation import out_of_distribution as ood
 from gri.evaluation.metrics import edge_frequency
 from gri.evaluation.out_of_distribution import Front
-from gri.evaluation.recorded_scores import pooled
+from gri.evaluation.recorded_scores import pooled_rate
 from gri.paper.job_cache import Job, scenarios_of
 from gri.paper.plots import COLOURS, STYLE, curve, density, frequency_matrices, legend_below, save
 from gri.paper.rows import Scenario
@@ -130,7 +130,7 @@ def success_curves(scenario: Scenario, curves: pd.DataFrame) -> Figure:
                 grouped = points[points["row"] == name].groupby("headway" if synthetic else "ratio")
                 mean, scenes = grouped[rate].mean(), None if synthetic else grouped["scenes"].first()
                 if scenes is not None:
-                    half_width = [pooled(m, n).half_width for m, n in zip(mean, scenes, strict=True)]
+                    half_width = [pooled_rate(m, n).half_width for m, n in zip(mean, scenes, strict=True)]
                 else:
                     half_width = grouped[f"{rate}_half_width"].mean() / np.sqrt(grouped.size())
                 if len(mean):
@@ -212,7 +212,9 @@ def example(scenario: Scenario, jobs: Sequence[Job], cache: Path) -> Figure:
 
 def _model_drive(job: Job, cache: Path) -> ood.Drive:
     types = torch.tensor(job.result(cache)["ood_types"])
-    return ood.driver(checkpoint.load(job.folder(cache) / "model.pt"), types, job.training.data.scene_range.steps)
+    return ood.drive_by_policy(
+        checkpoint.load(job.folder(cache) / "model.pt"), types, job.training.data.scene_range.steps
+    )
 
 
 def _rectangles(axis: Axes, state: Tensor, across: bool) -> None:

@@ -17,7 +17,7 @@ import torch
 
 from gri.networks.model import ModelConfig
 from gri.paper.rows import Row, Scenario
-from gri.training.optimisation import ACROSS
+from gri.training.optimisation import LATERAL_WEIGHT
 from gri.training.train import TrainConfig, model_config
 
 VERSION = 1
@@ -89,7 +89,7 @@ def _dependencies(job: Job) -> list[Any]:
         protocol = asdict(scenario.protocol)
         return [VERSION, job.config, data.scene_range, data.shares, protocol, job.seed, job.row.defined_types]
     digest = job.scene_file and job.scene_file.digest
-    tested = [] if scenario.cross_validation is None else [*astuple(scenario.cross_validation), ACROSS]
+    tested = [] if scenario.cross_validation is None else [*astuple(scenario.cross_validation), LATERAL_WEIGHT]
     trained_on = scenes if job.row.uses_reward else [scenes.kinds, scenes.steps, scenes.scale]
     return [VERSION, job.config, trained_on, job.seed, job.site, digest, job.row.defined_types, *tested]
 

@@ -39,12 +39,12 @@ def splits_of(path: Path, scenes: RecordedRange, site: str | None) -> tuple[Spli
 def measure_model(model: RelationalModel, defined_types: bool, splits: Splits, found: Recorded) -> dict[str, Any]:
     """The result of a trained row. Types without a defined meaning are forced as the model infers them most often."""
     test = splits.test
-    types = scores.kept_edge(model.config.vocabulary, EdgeType.FOLLOW)
+    types = scores.forced_edge(model.config.vocabulary, EdgeType.FOLLOW)
     if not defined_types:
         types = ood.modal_edges(driving_graph(model, test).map, (0, 1), 3)
-    result = _measure(reconstruct(model, test), scores.responder(model, types), test, found, model.dynamics)
+    result = _measure(reconstruct(model, test), scores.drive_by_policy(model, types), test, found, model.dynamics)
     result["errors"] |= scores.best_of_samples(model, splits.train, test)
-    graphs = None if model.encoder is None else scores.graphs(model, test)
+    graphs = None if model.encoder is None else scores.graph_metrics(model, test)
     return result | {"graphs": graphs, "ood_types": types}
 
 
@@ -57,12 +57,12 @@ def calibrate_and_test(scenes: RecordedRange, splits: Splits, found: Recorded) -
 
 
 def _measure(
-    state: Tensor, respond: scores.Respond, test: Scenes, found: Recorded, dynamics: Dynamics
+    state: Tensor, respond: scores.FollowerDrive, test: Scenes, found: Recorded, dynamics: Dynamics
 ) -> dict[str, Any]:
     """Scores of the driven states [S, N, T, D], and of a driver behind a recorded vehicle out of distribution."""
     return {
-        "errors": scores.errors(state, test.state, dynamics),
+        "errors": scores.trajectory_errors(state, test.state, dynamics),
         "site": found.source.tolist(),
-        "compared": scores.compared(state, test.state, found.length, dynamics),
-        "ood": scores.by_ratio(respond, test, (0, 1), dynamics),
+        "compared": scores.compare_interaction(state, test.state, found.length, dynamics),
+        "ood": scores.success_by_ratio(respond, test, (0, 1), dynamics),
     }

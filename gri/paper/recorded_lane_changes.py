@@ -1,8 +1,8 @@
 """Recorded lane changes, of which there are few: training on drawn ones, fine-tuning and cross-validation on recorded.
 
-A model is trained on windows with drawn lateral motion (`gri.data.ngsim.drawn_lane_changes`). No vehicle of a recorded
-lane change is in them. The recorded lane changes are split into folds. For each fold, the model is fine-tuned on the
-lane changes of the other folds and tested on those of the fold. Windows that share a vehicle are in one fold.
+A model is trained on windows with drawn lateral motion (`gri.data.ngsim.sampled_lateral_motion`). No vehicle of a
+recorded lane change is in them. The recorded lane changes are split into folds. For each fold, the model is fine-tuned
+on the lane changes of the other folds and tested on those of the fold. Windows that share a vehicle are in one fold.
 """
 
 from collections import Counter
@@ -18,9 +18,9 @@ from gri import checkpoint
 from gri.core.dynamics import dynamics_named
 from gri.core.graph import EdgeType, pairs
 from gri.core.scenes import Scenes
-from gri.data.ngsim.drawn_lane_changes import MARK
+from gri.data.ngsim.sampled_lateral_motion import SOURCE_SUFFIX
 from gri.data.ranges.recorded import RecordedRange
-from gri.data.recorded import are_drawn, recorded_scenes
+from gri.data.recorded import has_sampled_lateral_motion, recorded_scenes
 from gri.data.scene_file.reading import Recorded
 from gri.data.store import Splits
 from gri.evaluation import out_of_distribution as ood
@@ -52,7 +52,7 @@ class LaneChanges:
 def lane_changes_of(path: Path, scenes: RecordedRange) -> LaneChanges:
     """Recorded lane changes, and the drawn ones without a vehicle of a recorded one."""
     every, found = recorded_scenes(path, scenes, None)
-    is_drawn = are_drawn(found)
+    is_drawn = has_sampled_lateral_motion(found)
     recorded = torch.from_numpy(np.flatnonzero(~is_drawn))
     vehicles = {vehicle for window in recorded.tolist() for vehicle in vehicles_of(found, window)}
     usable = np.array([drawn and vehicles.isdisjoint(vehicles_of(found, w)) for w, drawn in enumerate(is_drawn)])
@@ -62,7 +62,7 @@ def lane_changes_of(path: Path, scenes: RecordedRange) -> LaneChanges:
 
 def vehicles_of(found: Recorded, window: int) -> set[tuple[str, int]]:
     """The vehicles of a window as (site, number): vehicles of different sites may have the same number."""
-    site = str(found.source[window]).removesuffix(MARK)
+    site = str(found.source[window]).removesuffix(SOURCE_SUFFIX)
     return {(site, int(vehicle)) for vehicle in found.vehicle[window]}
 
 
@@ -145,9 +145,9 @@ def with_drawn(recorded: Scenes, drawn: Scenes, per_recorded: int, seed: int) ->
 def measure_model(model: RelationalModel, scenes: Scenes, defined_types: bool) -> dict[str, Any]:
     """The scores of windows under both hypotheses."""
     state = reconstruct(model, scenes)
-    graphs = None if model.encoder is None else scores.graphs(model, scenes)
+    graphs = None if model.encoder is None else scores.graph_metrics(model, scenes)
     return {
-        "errors": scores.errors(state, scenes.state, model.dynamics),
+        "errors": scores.trajectory_errors(state, scenes.state, model.dynamics),
         "graphs": graphs and {key: graphs[key] for key in ("accuracy", "accuracy_renamed", "driven_accuracy")},
         "inferred": driving_graph(model, scenes).map,
         "ood": yielding_by_ratio(model, scenes, defined_types),
@@ -163,10 +163,12 @@ def yielding_by_ratio(model: RelationalModel, scenes: Scenes, defined_types: boo
         chosen = torch.nonzero(scenes.graph[:, edge] == vocabulary.index(EdgeType.YIELD))[:, 0]
         if not len(chosen):
             continue
-        types = scores.kept_edge(vocabulary, EdgeType.YIELD)
+        types = scores.forced_edge(vocabulary, EdgeType.YIELD)
         if not defined_types:
             types = ood.modal_edges(inferred[chosen], (0, sender), 3)
-        found = scores.by_ratio(scores.responder(model, types), scenes[chosen], (0, sender), model.dynamics)
+        found = scores.success_by_ratio(
+            scores.drive_by_policy(model, types), scenes[chosen], (0, sender), model.dynamics
+        )
         for point, one in zip(points, found, strict=True):
             point["hits"] += round(one["success"] * one["scenes"])
             point["contacts"] += round(one["collision"] * one["scenes"])

@@ -10,7 +10,7 @@ import torch
 
 from gri.evaluation import out_of_distribution as ood
 from gri.evaluation.metrics import Summary, summary
-from gri.evaluation.recorded_scores import clustered
+from gri.evaluation.recorded_scores import clustered_half_width
 from gri.paper.job_cache import Job
 
 STAGES = ("drawn only", "fine-tuned")
@@ -92,7 +92,10 @@ def _lane_changes(job: Job, result: dict[str, Any]) -> list[dict[str, Any]]:
         names = {"row": job.row.name, "seed": job.seed, "stage": stage}
         found = at_stage(result, stage)
         for metric, values in (found["errors"] | (found["graphs"] or {})).items():
-            value, half_width = summary(torch.tensor(values)), clustered(torch.tensor(values), result["cluster"])
+            value, half_width = (
+                summary(torch.tensor(values)),
+                clustered_half_width(torch.tensor(values), result["cluster"]),
+            )
             line = _line(names, metric, Summary(value.mean, value.std, half_width, value.scenes))
             lines.append(line)
         lines.append(_line(names, "training_cpu_seconds", _single(result["cpu_seconds"]), page_only=True))
@@ -147,7 +150,7 @@ def areas(curves: pd.DataFrame) -> pd.DataFrame:
     keys = ["scenario", "row", "seed", "front"]
     lines = [
         dict(zip(keys, key, strict=True))
-        | {"area": ood.trapezoid(list(zip(part["headway"], part["success"], strict=True)))}
+        | {"area": ood.mean_height(list(zip(part["headway"], part["success"], strict=True)))}
         for key, part in curves.groupby(keys, sort=False)
     ]
     table = pd.DataFrame(lines)

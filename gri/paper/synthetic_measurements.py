@@ -32,7 +32,7 @@ def measure_model(
     scenes, ranges = splits.test, job.training.data.scene_range
     graph = driving_graph(model, scenes)
     states, types = diagnostics.reconstruct(model, scenes), forced_types(job, model, graph.map)
-    drive = ood.driver(model, types, ranges.steps)
+    drive = ood.drive_by_policy(model, types, ranges.steps)
     weights = None if reward is None else diagnostics.weights_beside_truth(reward, true_reward(ranges))
     return {
         "rmse": {
@@ -125,13 +125,13 @@ def starts(job: Job) -> Tensor:
     protocol = job.scenario.protocol
     generator = torch.Generator().manual_seed(protocol.seed)
     start, _ = sample_starts(job.training.data.scene_range, protocol.starts, generator)
-    return ood.keep(start, protocol.kept)
+    return ood.remaining_pair(start, protocol.kept)
 
 
 def oracle_drive(job: Job) -> ood.Drive:
     """Driving by the optimum of the true reward."""
     scenes = job.training.data.scene_range
-    return ood.oracle(true_reward(scenes), dynamics_named(job.model.dynamics), scenes.dt, scenes.steps)
+    return ood.drive_optimally(true_reward(scenes), dynamics_named(job.model.dynamics), scenes.dt, scenes.steps)
 
 
 def oracle_curve(job: Job, cache: Path) -> list[dict[str, Any]]:

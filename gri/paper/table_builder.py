@@ -11,7 +11,7 @@ from typing import Literal
 
 import pandas as pd
 
-from gri.evaluation.recorded_scores import pooled
+from gri.evaluation.recorded_scores import pooled_rate
 from gri.paper.markdown import markdown_table
 from gri.paper.rows import Row, Scenario, published_row
 
@@ -120,7 +120,7 @@ def success_column(ratio: float, digits: int, collisions: bool) -> Column:
     def cell(line: Line) -> str:
         points = line.scores[line.scores["ratio"] == ratio]
         success = fmean(points["success"])
-        half_width = pooled(success, int(points["scenes"].iloc[0])).half_width
+        half_width = pooled_rate(success, int(points["scenes"].iloc[0])).half_width
         text = f"{100 * success:.{digits}f} ± {100 * half_width:.{digits}f}"
         return f"{text} ({100 * fmean(points['collision']):.{digits}f})" if collisions else text
 
