@@ -4,8 +4,8 @@
 
 Both sides are branches of one warmed-up simulation and start from the same state. One steps the traffic bare, one with
 the groups driven (reading, inference of the graph, model, commands, collision test and recording included). They take
-turns every five steps, so that whatever else the machine does slows both alike. A round does that seven times; its
-ratio is the median. Groups of a merge seldom come ten at once. CPU time.
+turns every five steps, so that other load of the machine slows both alike. A round does that seven times; its
+ratio is the median. A merge seldom has ten groups at once. Times are CPU times.
 """
 
 import argparse
@@ -19,68 +19,70 @@ import torch
 from msgspec.structs import replace
 from turns import side_by_side
 
-from cosim.loop.closed_loop import Files, RunningSimulation, Trunk, simulation
-from cosim.loop.driving import Driver, Start, drive, start
+from cosim.loop.driving import Driver, RoundStart, drive, start_round
+from cosim.loop.intervention import NoIntervention
 from cosim.loop.round_recorder import Round
+from cosim.loop.trunk import Trunk
 from cosim.runs.policy_loading import driver_of
 from cosim.spec.input_files import find_net
 from cosim.spec.loading import load_scenario
 from cosim.spec.scenario import Scenario
-from cosim.traffic.route_file import route_file
+from cosim.traffic.running_simulation import RunningSimulation, simulation
+from cosim.traffic.simulation_input import SumoFiles, prepare_simulation
 from cosim.world.snapshot import Snapshot
 
 REPEATS, TURN = 7, 5
 BETWEEN = 10.0  # [s] from one round to the next attempt to find groups
 
 
-def driven(road: RunningSimulation, begin: Start) -> tuple[float, int]:
+def driven(running: RunningSimulation, start: RoundStart) -> tuple[float, int]:
     """CPU seconds with driven groups, and the number of steps: they may all end early."""
     began = time.process_time()
-    episodes = drive(road.world, road.frame, begin)
-    return time.process_time() - began, len(episodes[0].time) - len(begin.frames)
+    episodes = drive(running.world, running.frame, start)
+    return time.process_time() - began, len(episodes[0].time) - len(start.observations)
 
 
-def bare(road: RunningSimulation, steps: int) -> float:
+def bare(running: RunningSimulation, steps: int) -> float:
     """CPU seconds per step of SUMO alone."""
     began = time.process_time()
     for _ in range(steps):
-        road.world.step()
+        running.world.step()
     return (time.process_time() - began) / steps
 
 
 def compare(
-    road: RunningSimulation, history: Sequence[Snapshot], task: Round, driver: Driver
+    running: RunningSimulation, history: Sequence[Snapshot], this_round: Round, driver: Driver
 ) -> tuple[float, float, float]:
     """Medians: CPU seconds per step, bare and driven, and their ratio."""
     alone, together = [], []
     for _ in range(REPEATS):
         began = time.process_time()
-        begin = start(road.frame, history, task, driver)
+        start = start_round(running.frame, history, NoIntervention(this_round), driver)
         ready = time.process_time() - began
-        both = lambda: driven(road, begin), lambda: bare(road, task.driven)  # noqa: B023
-        (cost, steps), spent = side_by_side(road.world, TURN, *both)
+        both = lambda: driven(running, start), lambda: bare(running, this_round.driven_steps)  # noqa: B023
+        (cost, steps), spent = side_by_side(running.world, TURN, *both)
         together.append((ready + cost) / steps)
         alone.append(spent)
     ratio = statistics.median(whole / step for whole, step in zip(together, alone, strict=True))
     return statistics.median(alone), statistics.median(together), ratio
 
 
-def ratios(road: RunningSimulation, scenario: Scenario, driver: Driver, rounds: int) -> list[float]:
-    """Driven ÷ bare of so many rounds, told as they come."""
-    trunk, found = Trunk(road, scenario), []
+def ratios(running: RunningSimulation, scenario: Scenario, driver: Driver, rounds: int) -> list[float]:
+    """Driven ÷ bare of this many rounds, printed one by one."""
+    trunk, found = Trunk(running, scenario), []
     trunk.warm_up(lambda *_: None)
     while len(found) < rounds:
         for _ in range(scenario.steps(BETWEEN)):
-            road.world.step()
-        trunk = Trunk(road, scenario)  # one that did not take anybody yet
-        history = trunk.look()
-        task = trunk.find(history, limit=scenario.groups_at_once)
-        if not task.groups:
+            running.world.step()
+        trunk = Trunk(running, scenario)  # one that has not used any vehicle yet
+        history = trunk.observe_history()
+        this_round = trunk.find_groups(history, limit=scenario.groups_at_once)
+        if not this_round.groups:
             continue
-        alone, together, ratio = compare(road, history, task, driver)
+        alone, together, ratio = compare(running, history, this_round, driver)
         found.append(ratio)
         print(
-            f"{len(task.groups)} groups among {len(history[-1].ids)} vehicles: bare {1e3 * alone:.2f} ms,"
+            f"{len(this_round.groups)} groups among {len(history[-1].ids)} vehicles: bare {1e3 * alone:.2f} ms,"
             f" driven {1e3 * together:.2f} ms, ratio {ratio:.2f}",
             flush=True,
         )
@@ -96,13 +98,13 @@ def main() -> None:
     torch.set_num_threads(1)
     scenario = replace(load_scenario(options.scenario), groups_at_once=options.groups, watch=0.0)
     driver = driver_of(scenario)
-    assert driver is not None, "somebody must drive"
-    end = scenario.traffic.warm_up + scenario.time_limit
+    assert driver is not None, "the scenario has no policy that drives"
     with tempfile.TemporaryDirectory() as scratch:
-        files = Files(find_net(scenario.net), Path(scratch, "r.rou.xml"), Path(scratch, "sumo.log"))
-        files.routes.write_text(route_file(scenario.traffic, scenario.seed, end))
-        with simulation(scenario, files) as road:
-            found = ratios(road, scenario, driver, options.rounds)
+        files = SumoFiles(find_net(scenario.net), Path(scratch, "r.rou.xml"), Path(scratch, "sumo.log"))
+        inputs = prepare_simulation(scenario, files, scenario.time_limit)
+        inputs.write()
+        with simulation(inputs) as running:
+            found = ratios(running, inputs.scenario, driver, options.rounds)
     print(f"median ratio {statistics.median(found):.2f} over {len(found)} rounds")
 
 

@@ -1,4 +1,4 @@
-"""Two branches of a simulation that take turns, so that whatever else the machine does slows both alike."""
+"""Two branches of a simulation that take turns, so that other load of the machine slows both alike."""
 
 from collections.abc import Callable
 from multiprocessing import get_context
@@ -15,7 +15,7 @@ R = TypeVar("R")
 
 
 def side_by_side(world: Sumo, every: int, one: Callable[[], A], other: Callable[[], B]) -> tuple[A, B]:
-    """What both functions return, each run in a branch of its own; they step the world in turns of so many steps."""
+    """The results of both functions, each run in a branch of its own; they step the world in turns of `every` steps."""
     first, second = (get_context("fork").Semaphore(value) for value in (1, 0))
 
     def taking_turns(work: Callable[[], R], mine: Semaphore, theirs: Semaphore) -> R:
@@ -34,7 +34,7 @@ def side_by_side(world: Sumo, every: int, one: Callable[[], A], other: Callable[
         try:
             return work()
         finally:
-            for _ in range(1_000_000 // every):  # the other one need not wait any more
+            for _ in range(1_000_000 // every):  # the other branch need not wait any more
                 theirs.release()
 
     branches = fork(lambda: taking_turns(one, first, second)), fork(lambda: taking_turns(other, second, first))

@@ -1,4 +1,4 @@
-"""When a group cannot, or need not, be driven any further; pure functions of what was seen."""
+"""When a group cannot, or need not, be driven any further; pure functions of two successive observations."""
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -18,31 +18,31 @@ def car_following(
     now: Float[np.ndarray, "G 3 C"],
     rows: Int[np.ndarray, "G 3"],
     ahead: Int[np.ndarray, "G 2"],
-    third: bool = True,
+    has_third_vehicle: bool = True,
 ) -> list[Ending | None]:
-    """All three keep their lane and nobody comes between them, or else the group is broken up.
+    """LANE_LEFT where a vehicle left its lane, CUT_IN where another one came between, by group.
 
-    `ahead` are the rows of the next vehicles ahead of the first two. Without a `third` vehicle it is about these two.
+    `ahead` are the rows of the next vehicles ahead of vehicles 0 and 1. Without a third vehicle only these two count.
     """
-    pairs = 2 if third else 1
+    pairs = 2 if has_third_vehicle else 1
     moved = np.abs(now[..., _D] - before[..., _D]) > SAME_LANE
     broken = ahead[:, :pairs] != rows[:, 1 : pairs + 1]
     if not moved.any() and not broken.any():
         return [None] * len(now)
     return [
-        Ending.LANE_LEFT if sideways else Ending.CUT_IN if between else None
-        for sideways, between in zip(*(np.logical_or.reduce(of, axis=1) for of in (moved, broken)), strict=True)
+        Ending.LANE_LEFT if lane_left else Ending.CUT_IN if cut_in else None
+        for lane_left, cut_in in zip(*(np.logical_or.reduce(of, axis=1) for of in (moved, broken)), strict=True)
     ]
 
 
 def merging(
     before: State, now: State, snapshot: Snapshot, rows: Rows, lanes: MergeLanes, width: float, dt: float
 ) -> Ending | None:
-    """Vehicle 0 is on its way to the target lane, 1 and 2 keep theirs; `width` [m] is that of vehicle 0.
+    """The ending of one group in which vehicle 0 merges; `width` [m] is that of vehicle 0.
 
-    LANE_END: its front would pass the end of its lane in the next step while its centre is still on it; beyond there is
-    no road to put it on. MERGED only says that vehicle 0 is inside the target lane now; how long it must stay there is
-    not decided here.
+    LANE_LEFT: the lag vehicle or the leader left its lane. CUT_IN: another vehicle is between these two. LANE_END: the
+    front of vehicle 0 would pass the end of its lane in the next step while its centre is still on it; there is no road
+    beyond. MERGED: vehicle 0 is inside the target lane now; how long it must stay there is not decided here.
     """
     if (np.abs(now[1:, _D] - before[1:, _D]) > SAME_LANE).any():
         return Ending.LANE_LEFT
@@ -55,8 +55,8 @@ def merging(
 
 
 def _between(snapshot: Snapshot, rows: Rows, lanes: MergeLanes) -> Bool[np.ndarray, " V"]:
-    """Who else is in the target lane between the lag vehicle and the leader."""
-    there = np.abs(snapshot.d - lanes.target.centre) < SAME_LANE
-    there &= (snapshot.s > snapshot.s[rows[1]]) & (snapshot.s < snapshot.s[rows[2]])
-    there[rows] = False
-    return there
+    """The other vehicles in the target lane between the lag vehicle and the leader."""
+    between = np.abs(snapshot.d - lanes.target.centre) < SAME_LANE
+    between &= (snapshot.s > snapshot.s[rows[1]]) & (snapshot.s < snapshot.s[rows[2]])
+    between[rows] = False
+    return between

@@ -1,4 +1,4 @@
-"""The graph a policy goes by: what it infers, or what a scenario says instead."""
+"""The graph that a policy uses: the inferred one, or what the scenario prescribes instead."""
 
 from collections.abc import Mapping
 
@@ -10,19 +10,24 @@ from gri.core.graph import EdgeType, InteractionGraph, pairs
 
 
 def graph_from_source(
-    graph: InteractionGraph, source: GraphSource, rule: GroupRule, third: bool = True
+    graph: InteractionGraph, source: GraphSource, rule: GroupRule, has_third_vehicle: bool = True
 ) -> InteractionGraph:
-    """The inferred graph with the edges that the source knows better; without a `third` vehicle none with it."""
-    known = {**_known(source, rule), **({} if third else {pair: EdgeType.NONE for pair in pairs(3) if 2 in pair})}
-    if not known:
+    """The inferred graph with the edges that the source prescribes.
+
+    Without a third vehicle, no pair with it has an edge.
+    """
+    prescribed = dict(_prescribed(source, rule))
+    if not has_third_vehicle:
+        prescribed |= {pair: EdgeType.NONE for pair in pairs(3) if 2 in pair}
+    if not prescribed:
         return graph
-    which = torch.tensor([pair in known for pair in pairs(3)])
-    certain = InteractionGraph.of_edges(known, graph.vocabulary, batch=len(graph))
+    which = torch.tensor([pair in prescribed for pair in pairs(3)])
+    certain = InteractionGraph.of_edges(prescribed, graph.vocabulary, batch=len(graph))
     return InteractionGraph(torch.where(which[:, None], certain.logits, graph.logits), graph.vocabulary)
 
 
-def _known(source: GraphSource, rule: GroupRule) -> Mapping[tuple[int, int], EdgeType]:
-    """Type of every pair (sender, receiver) that is not left to the policy."""
+def _prescribed(source: GraphSource, rule: GroupRule) -> Mapping[tuple[int, int], EdgeType]:
+    """Type of every pair (sender, receiver) that the policy does not infer itself."""
     none = dict.fromkeys(pairs(3), EdgeType.NONE)
     if isinstance(source, GroundTruth):
         return none | expected_graph(rule)

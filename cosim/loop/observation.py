@@ -1,4 +1,4 @@
-"""What is seen of the groups of a round at one instant."""
+"""The vehicles of the groups of a round as they are observed at one instant."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -13,8 +13,12 @@ from cosim.world.snapshot import Snapshot
 
 
 @dataclass(frozen=True)
-class Frame:
-    """The groups at one instant: features of COLUMNS, who is there, and their rows in the snapshot (0 where absent)."""
+class GroupObservation:
+    """All groups of a round at one instant.
+
+    `state` has the features of COLUMNS, `valid` says which vehicles are present, `rows` are their rows in the snapshot
+    (0 where a vehicle is absent).
+    """
 
     time: float
     state: Float[np.ndarray, "G 3 C"]
@@ -22,26 +26,26 @@ class Frame:
     rows: Int[np.ndarray, "G 3"]
 
     @classmethod
-    def of(cls, snapshot: Snapshot, groups: Sequence[Group]) -> "Frame":
-        """The groups' part of a snapshot; absent vehicles have zeros."""
-        where = snapshot.where
-        found = [where.get(vehicle, -1) for group in groups for vehicle in group.ids]
+    def of(cls, snapshot: Snapshot, groups: Sequence[Group]) -> "GroupObservation":
+        """The groups' part of a snapshot; the state of absent vehicles is zero."""
+        row_of = snapshot.row_of
+        found = [row_of.get(vehicle, -1) for group in groups for vehicle in group.ids]
         rows = np.array(found).reshape(-1, 3)
         valid = rows >= 0
         if -1 not in found:
             return cls(snapshot.time, snapshot.features(rows), valid, rows)
         rows = np.maximum(rows, 0)
-        if not where:  # nobody at all
+        if not row_of:  # the snapshot is empty
             return cls(snapshot.time, np.zeros((*rows.shape, len(COLUMNS))), valid, rows)
         return cls(snapshot.time, np.where(valid[..., None], snapshot.features(rows), 0.0), valid, rows)
 
     @cached_property
     def complete(self) -> bool:
-        """Whether everybody is there."""
+        """Whether all vehicles of all groups are present."""
         return bool(self.valid.all())
 
-    def carried_on(self, previous: "Frame") -> "Frame":
-        """With the last known state of vehicles that are gone; `valid` keeps saying that they are."""
+    def with_last_known_states(self, previous: "GroupObservation") -> "GroupObservation":
+        """The observation with the last known state of absent vehicles, which remain marked as absent."""
         if self.complete:
             return self
         return replace(self, state=np.where(self.valid[..., None], self.state, previous.state))

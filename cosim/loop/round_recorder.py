@@ -1,187 +1,204 @@
-"""What happens to the groups of a round while they are driven: how each ends, when, and all events."""
+"""Judges and records the groups of a round while they are driven: how each ends, when, and all events."""
 
-from collections.abc import Sequence, Set
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from cosim.loop import end_conditions
-from cosim.loop.observation import Frame
+from cosim.loop.observation import GroupObservation
 from cosim.loop.state_layouts import Pose
 from cosim.measures.collision_detection import overlapping_pairs
 from cosim.spec.scenario import GroupRule, Merge
-from cosim.sumo import Sumo
 from cosim.world.episode import COLUMNS, Ending, Event, EventKind
 from cosim.world.groups import Group, MergeLanes, next_ahead
 from cosim.world.snapshot import Snapshot, StepReport
 
 PLACEMENT_TOLERANCE = 1e-6  # [m], [m/s]
 HARD_BRAKING = 4.5  # [m/s^2]
-_S, _D, _V = (COLUMNS.index(name) for name in ("s", "d", "v"))
+CONTACT_ROLES = 2  # the roles 0 and 1 are tested for contacts, whoever drives them
+_S, _D, _V, _A = (COLUMNS.index(name) for name in ("s", "d", "v", "a"))
 
 
 @dataclass(frozen=True)
 class Round:
-    """Several groups that are taken at the same instant, and how long they are driven and watched (in steps).
+    """Several groups that are taken over at the same instant.
 
-    `owned` are the roles that are driven, `lanes` where a merge takes place, `third` whether there is a vehicle 2.
+    They are driven for `driven_steps` at most and then watched for `watched_steps`. `driven_roles` are the roles that a
+    policy drives, `lanes` are the lanes of a merge, `default_driver` ("sumo" or "recorded") moves all other vehicles.
+    Without `has_third_vehicle` vehicle 2 is removed at the take-over.
     """
 
     groups: tuple[Group, ...]
     rule: GroupRule
-    owned: tuple[int, ...]
-    driven: int
-    watched: int
+    driven_roles: tuple[int, ...]
+    driven_steps: int
+    watched_steps: int
     dt: float
     lanes: MergeLanes | None = None
-    third: bool = True
-    undriven: str = "sumo"  # whose the vehicles are that no policy drives
+    has_third_vehicle: bool = True
+    default_driver: str = "sumo"
 
     @property
     def vehicles(self) -> list[str]:
+        """The vehicles of all groups."""
         return [vehicle for group in self.groups for vehicle in group.ids]
 
+    def driven_ids(self, g: int) -> tuple[str, ...]:
+        """The vehicles of one group that a policy drives."""
+        return tuple(self.groups[g].ids[role] for role in self.driven_roles)
 
-class Record:
-    """The endings and events so far."""
 
-    def __init__(self, task: Round, width: Float[np.ndarray, "G 3"]) -> None:
-        self._task, self._width, self._owned = task, width, list(task.owned)
-        self._left_alone = np.array([role not in task.owned for role in range(3)])
-        self._inside = np.zeros(len(task.groups), dtype=int)  # steps since vehicle 0 is inside the target lane
-        self.active = list(range(len(task.groups)))  # the groups that did not end yet
+class RoundRecorder:
+    """The endings and events of a round so far; `width` [m] are the vehicles' widths."""
+
+    def __init__(self, this_round: Round, width: Float[np.ndarray, "G 3"]) -> None:
+        self.round, self._width, self._driven_roles = this_round, width, list(this_round.driven_roles)
+        self._undriven = np.array([role not in this_round.driven_roles for role in range(3)])
+        self._steps_inside = np.zeros(
+            len(this_round.groups), dtype=int
+        )  # of vehicle 0 in the target lane, at a stretch
+        self.active = list(range(len(this_round.groups)))  # the groups that have not ended yet
         self.endings: dict[int, Ending] = {}
         self.ends: dict[int, float] = {}
-        self.events: list[list[Event]] = [[] for _ in task.groups]
+        self.events: list[list[Event]] = [[] for _ in this_round.groups]
 
-    def driven(self, time: Float[np.ndarray, " T"], g: int) -> Bool[np.ndarray, "T 3"]:
-        """At which instants, from the first command to the end, which roles stood where they were commanded to."""
-        when = (time > self._task.groups[g].time + 1e-6) & (time <= self.ends[g] + 1e-6)
-        return when[:, None] & ~self._left_alone
+    def add(self, g: int, event: Event) -> None:
+        """Record an event of a group."""
+        self.events[g].append(event)
 
-    def _owned_ids(self, g: int) -> tuple[str, ...]:
-        return tuple(self._task.groups[g].ids[role] for role in self._task.owned)
+    def driven(self, time: Float[np.ndarray, " T"], g: int, roles: Sequence[int]) -> Bool[np.ndarray, "T 3"]:
+        """The instants, from the first command to the end, at which these roles stood where they were commanded to."""
+        when = (time > self.round.groups[g].time + 1e-6) & (time <= self.ends[g] + 1e-6)
+        return when[:, None] & np.array([role in roles for role in range(3)])
 
-    def take_over(self, world: Sumo, time: float) -> None:
-        for g in self.active:
-            for vehicle in self._owned_ids(g):
-                world.take(vehicle)
-            self.events[g].append(Event(time, EventKind.TAKEN, self._owned_ids(g)))
-
-    def hand_back(self, world: Sumo, frame: Frame, ended: Set[int]) -> None:
-        for g in sorted(ended):
-            ids = self._task.groups[g].ids
-            for role in self._task.owned:
-                world.remove_shadow(ids[role])
-                if frame.valid[g, role]:
-                    world.release(ids[role])
-            self.events[g].append(Event(frame.time, EventKind.HANDED_BACK, self._owned_ids(g), self.endings[g].value))
-
-    def verify(self, frame: Frame, commanded: Pose) -> None:
-        """Note every owned vehicle that is gone, or that is not where and as fast as the dynamics say."""
-        owned, seen = self._owned, frame.state
-        error = np.maximum(np.abs(seen[..., _S] - commanded.s), np.abs(seen[..., _D] - commanded.d))
-        error = np.maximum(error, np.abs(seen[..., _V] - commanded.v))
-        right = frame.valid & (error <= PLACEMENT_TOLERANCE)
-        if (right | self._left_alone).all():
+    def verify(self, observation: GroupObservation, commanded: Pose) -> None:
+        """Record every driven vehicle that vanished, or whose place or speed is not as the dynamics say."""
+        state = observation.state
+        error = np.maximum(np.abs(state[..., _S] - commanded.s), np.abs(state[..., _D] - commanded.d))
+        error = np.maximum(error, np.abs(state[..., _V] - commanded.v))
+        right = observation.valid & (error <= PLACEMENT_TOLERANCE)
+        if (right | self._undriven).all():
             return
         for g in self.active:
-            for role in owned:
-                vehicle = (self._task.groups[g].ids[role],)
-                if not frame.valid[g, role]:
-                    self.events[g].append(Event(frame.time, EventKind.VANISHED, vehicle))
+            for role in self._driven_roles:
+                vehicle = (self.round.groups[g].ids[role],)
+                if not observation.valid[g, role]:
+                    self.add(g, Event(observation.time, EventKind.VANISHED, vehicle))
                 elif not right[g, role]:
-                    self.events[g].append(Event(frame.time, EventKind.MISPLACED, vehicle, f"by {error[g, role]:.3g}"))
+                    self.add(g, Event(observation.time, EventKind.MISPLACED, vehicle, f"by {error[g, role]:.3g}"))
 
-    def judge(self, frame: Frame, before: Frame, snapshot: Snapshot, report: StepReport, last: bool) -> None:
-        """End the groups that cannot or need not be driven any further, and all after the `last` driven step."""
+    def judge(
+        self,
+        observation: GroupObservation,
+        before: GroupObservation,
+        snapshot: Snapshot,
+        report: StepReport,
+        last: bool,
+    ) -> None:
+        """End the groups that cannot or need not be driven any further, and all groups after the `last` driven step."""
         active = self.active
         if not active:
             return
-        touching = self._contacts(snapshot, frame, report)
-        lost = self._lost(frame, snapshot)
-        found = self._endings(frame, before, snapshot)
+        in_contact = self._contacts(snapshot, observation, report)
+        lost = self._lost(observation, snapshot)
+        by_rule = self._endings_by_rule(observation, before, snapshot)
         for g in active:
-            ending = Ending.CONTACT if g in touching else lost.get(g) or found[g]
+            ending = Ending.CONTACT if g in in_contact else lost.get(g) or by_rule[g]
             if ending is None and last:
-                ending = Ending.LATE if isinstance(self._task.rule, Merge) else Ending.HORIZON
+                ending = Ending.LATE if isinstance(self.round.rule, Merge) else Ending.HORIZON
             if ending is not None:
-                self.endings[g], self.ends[g] = ending, frame.time
+                self.endings[g], self.ends[g] = ending, observation.time
         self.active = [g for g in active if g not in self.endings]
 
-    def _lost(self, frame: Frame, snapshot: Snapshot) -> dict[int, Ending]:
-        """The groups of which a vehicle is gone, or a driven one where there is no lane."""
-        if frame.complete and "" not in snapshot.lane:
+    def _lost(self, observation: GroupObservation, snapshot: Snapshot) -> dict[int, Ending]:
+        """The groups that lack a vehicle, or have a driven one that is on no lane."""
+        if observation.complete and "" not in snapshot.lane:
             return {}
-        there, rows = np.logical_and.reduce(frame.valid, axis=1).tolist(), frame.rows[:, self._owned].tolist()
+        present = np.logical_and.reduce(observation.valid, axis=1).tolist()
+        rows = observation.rows[:, self._driven_roles].tolist()
         off_road = {
-            g: Ending.OFF_ROAD for g, owned in enumerate(rows) if there[g] and not all(snapshot.lane[r] for r in owned)
+            g: Ending.OFF_ROAD
+            for g, driven in enumerate(rows)
+            if present[g] and not all(snapshot.lane[row] for row in driven)
         }
-        return off_road | {g: Ending.LOST for g, all_there in enumerate(there) if not all_there}
+        return off_road | {g: Ending.LOST for g, all_present in enumerate(present) if not all_present}
 
-    def _endings(self, frame: Frame, before: Frame, snapshot: Snapshot) -> Sequence[Ending | None]:
-        """What the rule says of each group, of those that did not end yet."""
-        task = self._task
-        if not isinstance(task.rule, Merge):
-            ahead = next_ahead(snapshot, frame.rows[:, :2].ravel()).reshape(-1, 2)
-            return end_conditions.car_following(before.state, frame.state, frame.rows, ahead, task.third)
+    def _endings_by_rule(
+        self, observation: GroupObservation, before: GroupObservation, snapshot: Snapshot
+    ) -> Sequence[Ending | None]:
+        """What the group rule says of each group that has not ended yet."""
+        this_round = self.round
+        if not isinstance(this_round.rule, Merge):
+            ahead = next_ahead(snapshot, observation.rows[:, :2].ravel()).reshape(-1, 2)
+            return end_conditions.car_following(
+                before.state, observation.state, observation.rows, ahead, this_round.has_third_vehicle
+            )
         return [
-            self._merging(frame, before, snapshot, g) if g not in self.endings else None
-            for g in range(len(task.groups))
+            self._merging(observation, before, snapshot, g) if g not in self.endings else None
+            for g in range(len(this_round.groups))
         ]
 
-    def _merging(self, frame: Frame, before: Frame, snapshot: Snapshot, g: int) -> Ending | None:
-        task = self._task
-        assert isinstance(task.rule, Merge)
-        assert task.lanes is not None, "a merge takes place between two lanes"
-        rows = frame.rows[g] if task.third else frame.rows[g][[0, 1, 1]]  # nobody comes between 1 and 1
+    def _merging(
+        self, observation: GroupObservation, before: GroupObservation, snapshot: Snapshot, g: int
+    ) -> Ending | None:
+        this_round = self.round
+        assert isinstance(this_round.rule, Merge)
+        assert this_round.lanes is not None, "a merge takes place between two lanes"
+        rows = observation.rows[g]
+        if not this_round.has_third_vehicle:
+            rows = rows[[0, 1, 1]]  # no vehicle can be between vehicle 1 and itself
         width = float(self._width[g, 0])
-        ending = end_conditions.merging(before.state[g], frame.state[g], snapshot, rows, task.lanes, width, task.dt)
-        self._inside[g] = self._inside[g] + 1 if ending is Ending.MERGED else 0
-        settled = self._inside[g] * task.dt >= task.rule.settle - 1e-6
+        ending = end_conditions.merging(
+            before.state[g], observation.state[g], snapshot, rows, this_round.lanes, width, this_round.dt
+        )
+        self._steps_inside[g] = self._steps_inside[g] + 1 if ending is Ending.MERGED else 0
+        settled = self._steps_inside[g] * this_round.dt >= this_round.rule.settle - 1e-6
         return ending if ending is not Ending.MERGED or settled else None
 
-    def _contacts(self, snapshot: Snapshot, frame: Frame, report: StepReport) -> set[int]:
-        """Which groups touch something, by our own test; SUMO's opinion and every disagreement become events."""
-        active, roles = self.active, 2  # 0 and 1, whoever drives them
-        rows = frame.rows[active, :roles]
-        rows = rows.ravel() if frame.complete else rows[frame.valid[active, :roles]]
+    def _contacts(self, snapshot: Snapshot, observation: GroupObservation, report: StepReport) -> set[int]:
+        """The groups in contact by our own test; SUMO's collisions and all disagreements are recorded as events."""
+        active = self.active
+        rows = observation.rows[active, :CONTACT_ROLES]
+        rows = rows.ravel() if observation.complete else rows[observation.valid[active, :CONTACT_ROLES]]
         hits = overlapping_pairs(snapshot.xy, snapshot.heading, snapshot.length, snapshot.width, rows)
         ours = {frozenset((snapshot.ids[i], snapshot.ids[j])) for i, j in hits.tolist()}
         theirs = {frozenset(pair) for pair in report.collisions}
         if not ours and not theirs and not report.teleported:
             return set()
-        touching = set()
+        in_contact = set()
         for g in active:
-            members = set(self._task.groups[g].ids[:roles])
+            members = set(self.round.groups[g].ids[:CONTACT_ROLES])
             for kind, pairs in (
                 (EventKind.CONTACT, ours),
                 (EventKind.SUMO_COLLISION, theirs),
                 (EventKind.DISAGREEMENT, ours ^ theirs),
             ):
-                mine = sorted(_rear_first(snapshot, pair) for pair in pairs if pair & members)
-                self.events[g] += [Event(frame.time, kind, pair) for pair in mine]
-            self.events[g] += [Event(frame.time, EventKind.TELEPORT, (v,)) for v in report.teleported if v in members]
+                own = sorted(_rear_first(snapshot, pair) for pair in pairs if pair & members)
+                self.events[g] += [Event(observation.time, kind, pair) for pair in own]
+            teleported = [vehicle for vehicle in report.teleported if vehicle in members]
+            self.events[g] += [Event(observation.time, EventKind.TELEPORT, (vehicle,)) for vehicle in teleported]
             if any(pair & members for pair in ours):
-                touching.add(g)
-        return touching
+                in_contact.add(g)
+        return in_contact
 
 
 def _rear_first(snapshot: Snapshot, pair: frozenset[str]) -> tuple[str, ...]:
-    """The two vehicles, the one that is farther back (as far as it was seen) first: it drove into the other."""
+    """The two vehicles, the one farther back first: it drove into the other. Absent vehicles count as far ahead."""
     rows = snapshot.rows(sorted(pair))
     return tuple(sorted(pair, key=lambda vehicle: (snapshot.s[rows[vehicle]] if vehicle in rows else np.inf, vehicle)))
 
 
-def hard_braking(frames: Sequence[Frame], g: int, group: Group, owned: Sequence[int], end: float) -> tuple[Event, ...]:
+def hard_braking(
+    observations: Sequence[GroupObservation], g: int, group: Group, driven_roles: Sequence[int], end: float
+) -> tuple[Event, ...]:
     """The first hard braking of each handed-back vehicle after the end of the drive."""
-    a = COLUMNS.index("a")
-    found, later = [], [frame for frame in frames if frame.time > end]
-    for role in owned:
-        for frame in later:
-            if frame.valid[g, role] and frame.state[g, role, a] < -HARD_BRAKING:
-                detail = f"{frame.state[g, role, a]:.2f} m/s^2"
-                found.append(Event(frame.time, EventKind.HARD_BRAKING, (group.ids[role],), detail))
+    found, later = [], [observation for observation in observations if observation.time > end]
+    for role in driven_roles:
+        for observation in later:
+            if observation.valid[g, role] and observation.state[g, role, _A] < -HARD_BRAKING:
+                detail = f"{observation.state[g, role, _A]:.2f} m/s^2"
+                found.append(Event(observation.time, EventKind.HARD_BRAKING, (group.ids[role],), detail))
                 break
     return tuple(found)

@@ -1,9 +1,10 @@
-"""Vehicles that are between two lanes, made visible in both.
+"""Shadow vehicles: a driven vehicle between two lanes is made visible in both.
 
-LC2013 knows a vehicle on one lane only, the one it is booked on. While an owned vehicle merges, a twin stands for it on
-the other lane: on the target lane from the moment the merge is decided (that is what an indicator says), on the
-vehicle's own body while it is across the line, then on the lane it leaves, until it is clear of it. Measured: no
-background vehicle drives into a merging one, where without a twin every third does (docs/coupling.md).
+SUMO's lane-change model LC2013 sees a vehicle on one lane only, the one it is assigned to. While a driven vehicle
+merges, a shadow vehicle stands for it on the other lane. At first, the shadow is in the centre of the target lane and
+announces the merge as an indicator would. While the vehicle is across the line, the shadow is at the vehicle's own
+position, assigned to the other lane. It is removed when the vehicle has left its old lane. Without shadows, background
+vehicles drive into merging ones (docs/coupling.md has the measurement).
 """
 
 from dataclasses import dataclass
@@ -16,20 +17,24 @@ from cosim.world.groups import MergeLanes
 from cosim.world.road_frame import RoadFrame
 from cosim.world.snapshot import Snapshot
 
-CLEARANCE = 0.5  # [m] a twin in the target lane keeps from those who are there; it must not push anybody
+CLEARANCE = 0.5  # [m] between an announcing shadow and others in the target lane, which it must not push
 
 
 @dataclass(frozen=True)
 class ShadowPlacement:
-    """On which lane SUMO shall book a vehicle ("": the nearest one), and where its twin shall be (None: none)."""
+    """The lanes of a vehicle and its shadow.
 
-    own: str = ""
-    twin: str | None = None
+    `own_lane` is the lane that SUMO assigns the vehicle to ("": the nearest one), `shadow_lane` that of its shadow
+    (None: there is no shadow), `shadow_d` [m] is the shadow's lateral position.
+    """
+
+    own_lane: str = ""
+    shadow_lane: str | None = None
     shadow_d: float = 0.0
 
 
-def booking(s: float, d: float, width: float, lanes: MergeLanes) -> ShadowPlacement:
-    """What is to be booked where, for a vehicle with its front at (s, d) that is on its way to the target lane."""
+def shadow_placement(s: float, d: float, width: float, lanes: MergeLanes) -> ShadowPlacement:
+    """The lanes of a vehicle with its front at (s, d) [m], on its way to the target lane, and of its shadow."""
     if not max(lanes.source.begin, lanes.target.begin) <= s <= min(lanes.source.end, lanes.target.end):
         return ShadowPlacement()
     beyond = d - lanes.boundary
@@ -45,10 +50,10 @@ def booking(s: float, d: float, width: float, lanes: MergeLanes) -> ShadowPlacem
 def is_free(
     s: float, length: float, lanes: MergeLanes, now: Snapshot, others: Bool[np.ndarray, " V"], dt: float
 ) -> bool:
-    """Whether a vehicle of that length fits into the target lane with its front at s, one step after the snapshot."""
-    there = others & (np.abs(now.d - lanes.target.centre) < 0.5 * lanes.target.width)
-    front = now.s[there] + now.v[there] * dt
-    apart = (front < s - length - CLEARANCE) | (front - now.length[there] > s + CLEARANCE)
+    """Whether a vehicle of that length fits into the target lane with its front at `s` [m], `dt` [s] after `now`."""
+    in_lane = others & (np.abs(now.d - lanes.target.centre) < 0.5 * lanes.target.width)
+    front = now.s[in_lane] + now.v[in_lane] * dt
+    apart = (front < s - length - CLEARANCE) | (front - now.length[in_lane] > s + CLEARANCE)
     return bool(apart.all())
 
 
@@ -61,23 +66,23 @@ def place(
     now: Snapshot,
     dt: float,
 ) -> str:
-    """Move, make or remove the twin of a vehicle whose next pose is (s, d, heading from the road, v).
+    """Add, move or remove the shadow of a vehicle whose next pose is (s, d, heading relative to the road, v).
 
-    Returns the lane on which the vehicle itself is to be booked.
+    Returns the lane that SUMO is to assign the vehicle itself to.
     """
     s, d, heading, v = pose
-    row = now.where.get(vehicle)
-    if row is None:  # it is gone; there is nothing to stand for
+    row = now.row_of.get(vehicle)
+    if row is None:  # the vehicle is gone
         world.remove_shadow(vehicle)
         return ""
     others = np.ones(len(now.ids), dtype=bool)
     others[row] = False
-    wanted = booking(s, d, float(now.width[row]), lanes)
-    announced = wanted.twin is not None and not wanted.own
-    if wanted.twin is None or (announced and not is_free(s, float(now.length[row]), lanes, now, others, dt)):
+    wanted = shadow_placement(s, d, float(now.width[row]), lanes)
+    announces = wanted.shadow_lane is not None and not wanted.own_lane
+    if wanted.shadow_lane is None or (announces and not is_free(s, float(now.length[row]), lanes, now, others, dt)):
         world.remove_shadow(vehicle)
-        return wanted.own
+        return wanted.own_lane
     xy, along = road.to_world(np.array([s]), np.array([wanted.shadow_d]))
-    turned = float(along[0]) + (0.0 if announced else heading)
-    world.place_shadow(vehicle, float(xy[0, 0]), float(xy[0, 1]), turned, v, wanted.twin)
-    return wanted.own
+    turned = float(along[0]) + (0.0 if announces else heading)
+    world.place_shadow(vehicle, float(xy[0, 0]), float(xy[0, 1]), turned, v, wanted.shadow_lane)
+    return wanted.own_lane

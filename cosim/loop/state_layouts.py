@@ -1,6 +1,6 @@
-"""Between the world's road frame and the states that a policy's dynamics move; one layout per dynamics.
+"""Conversion between the world's road frame and the states of a policy's dynamics; one layout per dynamics.
 
-A model state counts every vehicle ahead as `NOMINAL_LENGTH` long (`cosim.world.road_frame.model_offsets`).
+In model states every vehicle ahead counts as `NOMINAL_LENGTH` long (`cosim.world.road_frame.model_offsets`).
 """
 
 from dataclasses import dataclass
@@ -18,7 +18,7 @@ _S, _D, _HEADING, _V, _A = (COLUMNS.index(name) for name in ("s", "d", "heading"
 
 @dataclass(frozen=True)
 class Pose:
-    """Where vehicles are in the road frame: s, d [m], heading relative to the road [rad], v [m/s], a [m/s²]."""
+    """Poses of vehicles in the road frame: s, d [m], heading relative to the road [rad], v [m/s], a [m/s²]."""
 
     s: Float[np.ndarray, "G R"]
     d: Float[np.ndarray, "G R"]
@@ -33,32 +33,35 @@ class Pose:
 
 
 @dataclass(frozen=True)
-class Along:
-    """[x, v, a] of a 1-D point mass; vehicles keep the lateral position they were taken at."""
+class LongitudinalLayout:
+    """States [x, v, a] of a 1-D point mass; vehicles keep their lateral position of the take-over.
+
+    `offset` [m] is added to s to get x, `lateral` [m] are the lateral positions d.
+    """
 
     offset: Float[np.ndarray, "G 3"]
     lateral: Float[np.ndarray, "G 3"]
     dynamics: Dynamics = POINT_MASS_1D
 
-    def states(self, seen: Float[np.ndarray, "G 3 C"]) -> Float[np.ndarray, "G 3 3"]:
+    def states(self, observed: Float[np.ndarray, "G 3 C"]) -> Float[np.ndarray, "G 3 3"]:
         """Model states (float64) of vehicles with the features of COLUMNS."""
-        states = seen[..., [_S, _V, _A]]
+        states = observed[..., [_S, _V, _A]]
         states[..., 0] += self.offset
         return states
 
     def pose(self, state: Float[np.ndarray, "G 3 3"]) -> Pose:
-        """Where the dynamics put the vehicles."""
+        """The poses of model states."""
         x, v, a = (state[..., feature] for feature in range(3))
         return Pose(x - self.offset, self.lateral, np.zeros(x.shape), v, a)
 
 
 @dataclass(frozen=True)
-class InPlane:
-    """[x, y, v, θ, a, ω] of Dubins' car; y counts from the centre of the target lane, θ from the road.
+class PlanarLayout:
+    """States [x, y, v, θ, a, ω] of Dubins' car; y counts from the centre of the target lane, θ from the road.
 
-    A curved road is rolled out straight: positions are arc length and offset, which is exact on straight roads and
-    short by the factor 1 − d/R on a bend of radius R. Nobody but the dynamics knows a yaw rate; that of vehicles
-    which SUMO drives counts as 0, as they keep to their lane's direction.
+    A curved road is treated as straight: positions are arc length and lateral offset. That is exact on straight roads;
+    on a bend of radius R, distances at the lateral position d are wrong by the factor 1 − d/R. SUMO has no yaw rate, so
+    that of the vehicles that it drives is 0.
     """
 
     offset: Float[np.ndarray, "G 3"]
@@ -67,30 +70,30 @@ class InPlane:
     road: RoadFrame
     dynamics: Dynamics = DUBINS
 
-    def states(self, seen: Float[np.ndarray, "G 3 C"]) -> Float[np.ndarray, "G 3 6"]:
+    def states(self, observed: Float[np.ndarray, "G 3 C"]) -> Float[np.ndarray, "G 3 6"]:
         """Model states (float64) of vehicles with the features of COLUMNS."""
-        s = seen[..., _S]
-        heading = _wrapped(seen[..., _HEADING] - self.road.heading_at(s.ravel()).reshape(s.shape))
-        features = [s + self.offset, seen[..., _D] - self.target, seen[..., _V], heading, seen[..., _A]]
+        s = observed[..., _S]
+        heading = _wrapped(observed[..., _HEADING] - self.road.heading_at(s.ravel()).reshape(s.shape))
+        features = [s + self.offset, observed[..., _D] - self.target, observed[..., _V], heading, observed[..., _A]]
         return np.stack([*features, np.zeros_like(s)], -1)
 
     def pose(self, state: Float[np.ndarray, "G 3 6"]) -> Pose:
-        """Where the dynamics put the vehicles."""
+        """The poses of model states."""
         x, y, v, heading, a, _ = (state[..., feature] for feature in range(6))
         return Pose(x - self.offset, y + self.target, heading, v, a)
 
 
-Layout = Along | InPlane
+Layout = LongitudinalLayout | PlanarLayout
 
 
 def layout_of(
-    rule: GroupRule, road: RoadFrame, seen: Float[np.ndarray, "G 3 C"], length: Float[np.ndarray, "G 3"]
+    rule: GroupRule, road: RoadFrame, observed: Float[np.ndarray, "G 3 C"], length: Float[np.ndarray, "G 3"]
 ) -> Layout:
-    """The layout a group rule is driven with, from what was seen at the take-over."""
+    """The layout for a group rule, from the states and lengths [m] observed at the take-over."""
     if isinstance(rule, CarFollowing):
-        return Along(model_offsets(length), seen[..., _D])
+        return LongitudinalLayout(model_offsets(length), observed[..., _D])
     # From the rear to the front: lag vehicle, merger, leader. The leader keeps to the centre of the target lane.
-    return InPlane(model_offsets(length, order=(1, 0, 2)), seen[:, 2:, _D], road)
+    return PlanarLayout(model_offsets(length, order=(1, 0, 2)), observed[:, 2:, _D], road)
 
 
 def _wrapped(angle: Float[np.ndarray, "G 3"]) -> Float[np.ndarray, "G 3"]:

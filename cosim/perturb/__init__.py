@@ -1,4 +1,5 @@
-"""What perturbations change: traffic, starts, background vehicles, sensing and control.
+"""What perturbations change, as pure functions: traffic demand, starts, background vehicles, sensing and control.
 
-Their types stand in `cosim.spec.perturbations`; `cosim.loop.perturbed_round` applies them to a round.
+The types of perturbations are in `cosim.spec.perturbations`. `cosim.loop.perturbed_round` plans what they do to a round
+and `cosim.loop.intervention` carries it out. Begin with `displaced_starts`, the simplest kind.
 """

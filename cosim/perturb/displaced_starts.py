@@ -1,6 +1,6 @@
-"""Displaced starts, and which of them are feasible: pure functions of one group and the traffic around it.
+"""Displaced starts and their feasibility: pure functions of one group and the traffic around it.
 
-Boxes are taken along the road here: at the take-over vehicles drive along their lanes.
+The vehicles' boxes are aligned with the road here, because at the take-over vehicles drive along their lanes.
 """
 
 from collections.abc import Sequence
@@ -9,26 +9,26 @@ from enum import StrEnum
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from cosim.spec.perturbations import HeadwayMetres, HeadwayRatio, Perturbation, RemoveThird, SpeedOffset
 
-BRAKING = 8.0  # [m/s^2], what a vehicle can do at most on a dry road
+BRAKING = 8.0  # [m/s^2], the hardest braking of a vehicle on a dry road
 
 
 class Infeasible(StrEnum):
     """Why a start is excluded."""
 
-    OVERLAP = "overlap"  # a displaced vehicle stands in another one
-    OFF_ROAD = "off_road"  # a displaced vehicle stands outside the road or its lane
-    ORDER = "order"  # in one lane a follower can only be behind its leader, with nobody in between
-    UNAVOIDABLE = "unavoidable"  # not even braking with BRAKING from the first instant on avoids contact
-    NO_NEIGHBOUR = "no_neighbour"  # nobody is there who could cut in
+    OVERLAP = "overlap"  # a displaced vehicle overlaps another one
+    OFF_ROAD = "off_road"  # a displaced vehicle is outside the road or its lane
+    ORDER = "order"  # in one lane a follower must be behind its leader, with no vehicle in between
+    UNAVOIDABLE = "unavoidable"  # even braking with BRAKING from the start on does not avoid a contact
+    NO_NEIGHBOUR = "no_neighbour"  # no vehicle is there that could cut in
 
 
 @dataclass(frozen=True)
-class Cars:
-    """Vehicles at one instant in the road frame: front bumpers, speeds, sizes [m, m/s]."""
+class VehicleStates:
+    """Vehicles at one instant in the road frame: front bumpers (s, d) [m], speeds v [m/s], sizes [m]."""
 
     s: Float[np.ndarray, " V"]
     d: Float[np.ndarray, " V"]
@@ -36,62 +36,63 @@ class Cars:
     length: Float[np.ndarray, " V"]
     width: Float[np.ndarray, " V"]
 
-    def __getitem__(self, rows: Bool[np.ndarray, " V"] | slice) -> "Cars":
-        return Cars(self.s[rows], self.d[rows], self.v[rows], self.length[rows], self.width[rows])
+    def __getitem__(self, rows: Bool[np.ndarray, " V"] | Int[np.ndarray, " R"]) -> "VehicleStates":
+        return VehicleStates(self.s[rows], self.d[rows], self.v[rows], self.length[rows], self.width[rows])
 
 
 @dataclass(frozen=True)
-class Rule:
-    """What the group rule says about headways: who follows whom, in one lane from the rear to the front or not.
+class HeadwayRule:
+    """The headways of a group that perturbations change, by roles.
 
-    `pair` is (follower, leader), `left` the pair that is left when vehicle 2 is removed.
+    `pair` is the (follower, leader) of the perturbed headway, `pair_without_third` that when vehicle 2 is removed.
+    `one_lane` says whether the group drives in one lane, in the order of its roles from the rear to the front.
     """
 
     pair: tuple[int, int]
-    left: tuple[int, int]
+    pair_without_third: tuple[int, int]
     one_lane: bool
 
 
-CAR_FOLLOWING = Rule(pair=(0, 1), left=(0, 1), one_lane=True)
-MERGE = Rule(pair=(0, 2), left=(1, 0), one_lane=False)
+CAR_FOLLOWING = HeadwayRule(pair=(0, 1), pair_without_third=(0, 1), one_lane=True)
+MERGE = HeadwayRule(pair=(0, 2), pair_without_third=(1, 0), one_lane=False)
 
 
-def displaced(group: Cars, perturbations: Sequence[Perturbation], rule: Rule) -> Cars:
-    """The group (roles 0, 1, 2) as its start is perturbed."""
+def displaced(group: VehicleStates, perturbations: Sequence[Perturbation], rule: HeadwayRule) -> VehicleStates:
+    """The group (roles 0, 1, 2) with its perturbed start."""
     s, v = group.s.copy(), group.v.copy()
     for perturbation in perturbations:
         match perturbation:
             case HeadwayRatio(intensity=ratio):
-                _shift(s, rule.pair, ratio)
+                _shorten(s, rule.pair, ratio)
             case RemoveThird(intensity=ratio):
-                _shift(s, rule.left, ratio)
+                _shorten(s, rule.pair_without_third, ratio)
             case HeadwayMetres(intensity=metres):
                 s[rule.pair[0]] += metres
-            case SpeedOffset(intensity=faster):
-                v[0] = max(v[0] + faster, 0.0)
+            case SpeedOffset(intensity=offset):
+                v[0] = max(v[0] + offset, 0.0)
     return replace(group, s=s, v=v)
 
 
-def _shift(s: Float[np.ndarray, " 3"], pair: tuple[int, int], ratio: float) -> None:
-    """Δx' = (1 − δ)·Δx."""
+def _shorten(s: Float[np.ndarray, " 3"], pair: tuple[int, int], ratio: float) -> None:
+    """Shorten a headway in place: Δx' = (1 − δ)·Δx."""
     follower, leader = pair
     s[follower] += ratio * (s[leader] - s[follower])
 
 
-def verdict(
-    before: Cars,
-    after: Cars,
-    others: Cars,
+def infeasibility(
+    before: VehicleStates,
+    after: VehicleStates,
+    others: VehicleStates,
     *,
     present: Bool[np.ndarray, " 3"],
     span: Float[np.ndarray, "3 2"],
-    rule: Rule,
+    rule: HeadwayRule,
     braking: float = BRAKING,
 ) -> Infeasible | None:
-    """Why the start `after` is infeasible, if it is.
+    """Why the start `after` is infeasible; None where it is feasible.
 
-    `others` are the vehicles around the group, `present` says which of the group are still there, `span` [m] where
-    along the road each of the three can be with its front.
+    `others` are the vehicles around the group. `present` says which vehicles of the group are not removed. `span` [m]
+    is the range of s in which each of the three vehicles can be, `braking` [m/s²] the hardest possible braking.
     """
     moved = present & ((before.s != after.s) | (before.v != after.v))
     if not moved.any():
@@ -99,7 +100,7 @@ def verdict(
     if ((after.s < span[:, 0]) | (after.s > span[:, 1]))[moved].any():
         return Infeasible.OFF_ROAD
     group = after[present]
-    everyone = Cars(*(np.concatenate(pair) for pair in zip(_columns(group), _columns(others), strict=True)))
+    everyone = VehicleStates(*(np.concatenate(pair) for pair in zip(_columns(group), _columns(others), strict=True)))
     concerned = np.concatenate([moved[present], np.zeros(len(others.s), dtype=bool)])
     if rule.one_lane and not _in_order(group, others):
         return Infeasible.ORDER if not _overlap(everyone, concerned) else Infeasible.OVERLAP
@@ -108,24 +109,25 @@ def verdict(
     return Infeasible.UNAVOIDABLE if _unavoidable(everyone, concerned, braking) else None
 
 
-def _columns(cars: Cars) -> tuple[np.ndarray, ...]:
-    return cars.s, cars.d, cars.v, cars.length, cars.width
+def _columns(states: VehicleStates) -> tuple[np.ndarray, ...]:
+    return states.s, states.d, states.v, states.length, states.width
 
 
-def _beside(cars: Cars) -> Bool[np.ndarray, "V V"]:
-    """Whose strips across the road overlap."""
-    apart = np.abs(cars.d[:, None] - cars.d[None]) >= 0.5 * (cars.width[:, None] + cars.width[None])
-    return ~apart & ~np.eye(len(cars.s), dtype=bool)
+def _in_path(states: VehicleStates) -> Bool[np.ndarray, "V V"]:
+    """The pairs of vehicles that would touch if one of them moved far enough along the road."""
+    apart = np.abs(states.d[:, None] - states.d[None]) >= 0.5 * (states.width[:, None] + states.width[None])
+    return ~apart & ~np.eye(len(states.s), dtype=bool)
 
 
-def _overlap(cars: Cars, concerned: Bool[np.ndarray, " V"]) -> bool:
-    rear = cars.s - cars.length
-    along = (rear[:, None] < cars.s[None]) & (rear[None] < cars.s[:, None])
-    return bool((_beside(cars) & along)[concerned].any())
+def _overlap(states: VehicleStates, concerned: Bool[np.ndarray, " V"]) -> bool:
+    """Whether a concerned vehicle overlaps any other one."""
+    rear = states.s - states.length
+    along = (rear[:, None] < states.s[None]) & (rear[None] < states.s[:, None])
+    return bool((_in_path(states) & along)[concerned].any())
 
 
-def _in_order(group: Cars, others: Cars) -> bool:
-    """Whether the group goes on in its order along its lane, with nobody in between."""
+def _in_order(group: VehicleStates, others: VehicleStates) -> bool:
+    """Whether the group keeps its order along its lane, with no other vehicle in between."""
     same = np.abs(others.d - group.d[0]) < 0.5 * (others.width + group.width[0])
     fronts = others.s[same]
     return all(
@@ -133,25 +135,27 @@ def _in_order(group: Cars, others: Cars) -> bool:
     )
 
 
-def _unavoidable(cars: Cars, concerned: Bool[np.ndarray, " V"], braking: float) -> bool:
-    """Whether any pair with a concerned vehicle meets though the one behind brakes and the one ahead keeps its speed.
+def _unavoidable(states: VehicleStates, concerned: Bool[np.ndarray, " V"], braking: float) -> bool:
+    """Whether a concerned vehicle collides although the follower brakes at once and its leader keeps its speed.
 
     The gap closes by (v_i − v_j)²/(2b) before the speeds are the same.
     """
-    gap = cars.s[None] - cars.length[None] - cars.s[:, None]  # Shape: (behind, ahead)
-    closing = np.maximum(cars.v[:, None] - cars.v[None], 0.0)
-    behind = _beside(cars) & (cars.s[None] > cars.s[:, None])
-    meets = behind & (closing**2 / (2 * braking) > gap)
-    return bool(meets[concerned].any() or meets[:, concerned].any())
+    gap = states.s[None] - states.length[None] - states.s[:, None]  # Shape: (behind, ahead)
+    closing = np.maximum(states.v[:, None] - states.v[None], 0.0)
+    behind = _in_path(states) & (states.s[None] > states.s[:, None])
+    collides = behind & (closing**2 / (2 * braking) > gap)
+    return bool(collides[concerned].any() or collides[:, concerned].any())
 
 
-def hits_ahead(gap: float, v: float, ahead: Float[np.ndarray, " T"], dt: float, braking: float = BRAKING) -> bool:
-    """Whether a vehicle that brakes from the first instant on meets one ahead that has these speeds, every dt.
+def collides_despite_braking(
+    gap: float, v: float, v_leader: Float[np.ndarray, " T"], dt: float, braking: float = BRAKING
+) -> bool:
+    """Whether a follower that brakes from the first instant on collides with its leader.
 
-    `gap` [m] is the net gap at the first of them, `v` [m/s] the speed of the vehicle behind; both move uniformly
-    accelerated between the instants.
+    `gap` [m] is the net gap at the first instant, `v` [m/s] the follower's speed then, `v_leader` [m/s] the leader's
+    speed every `dt` [s]. Accelerations are constant between the instants.
     """
-    own = np.maximum(v - braking * dt * np.arange(len(ahead)), 0.0)
-    difference = ahead - own
+    v_follower = np.maximum(v - braking * dt * np.arange(len(v_leader)), 0.0)
+    difference = v_leader - v_follower
     travelled = np.concatenate([[0.0], np.cumsum(0.5 * dt * (difference[1:] + difference[:-1]))])
     return bool((gap + travelled < 0).any())

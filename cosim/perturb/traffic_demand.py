@@ -13,7 +13,7 @@ TRUCK = "truck"
 
 
 def perturbed_traffic(scenario: Scenario) -> Scenario:
-    """The scenario with the traffic that its perturbations make of its own; idempotent only without any."""
+    """The scenario with its traffic perturbed. Call it once: a second call perturbs the traffic again."""
     return replace(scenario, traffic=reduce(_traffic, scenario.perturbations, scenario.traffic))
 
 
@@ -45,20 +45,20 @@ def _with_trucks(flow: Flow, trucks: set[str], share: float) -> Flow:
 
 
 def _aggressive(traffic: Traffic, share: float) -> Traffic:
-    """With a second, aggressive edition of every class but trucks."""
+    """The traffic with an aggressive variant of every vehicle class but trucks, at the given share."""
     names = {vehicles.name: f"aggressive_{vehicles.name}" for vehicles in traffic.vehicles if vehicles.v_class != TRUCK}
-    editions = tuple(
-        _hurried(vehicles, names[vehicles.name]) for vehicles in traffic.vehicles if vehicles.name in names
+    variants = tuple(
+        _aggressive_class(vehicles, names[vehicles.name]) for vehicles in traffic.vehicles if vehicles.name in names
     )
     flows = []
     for flow in traffic.flows:
         calm = {name: part * (1 - share) if name in names else part for name, part in flow.classes.items()}
-        hurried = {names[name]: part * share for name, part in flow.classes.items() if name in names}
-        flows.append(replace(flow, classes=calm | hurried))
-    return replace(traffic, vehicles=traffic.vehicles + editions, flows=tuple(flows))
+        aggressive = {names[name]: part * share for name, part in flow.classes.items() if name in names}
+        flows.append(replace(flow, classes=calm | aggressive))
+    return replace(traffic, vehicles=traffic.vehicles + variants, flows=tuple(flows))
 
 
-def _hurried(vehicles: VehicleClass, name: str) -> VehicleClass:
+def _aggressive_class(vehicles: VehicleClass, name: str) -> VehicleClass:
     kind, lane = AggressiveDrivers, vehicles.lane_changing
     return replace(
         vehicles,
@@ -76,7 +76,7 @@ def _hurried(vehicles: VehicleClass, name: str) -> VehicleClass:
 
 
 def _slippery(vehicles: VehicleClass, friction: float) -> VehicleClass:
-    """With drivers who know what the road gives."""
+    """The vehicle class with accelerations that a slippery road allows, which its drivers know."""
     limit = friction * GRAVITY
     return replace(
         vehicles,

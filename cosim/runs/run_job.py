@@ -10,8 +10,7 @@ from typing import Any
 import msgspec
 import torch
 
-from cosim.loop.closed_loop import Files, run
-from cosim.perturb.traffic_demand import perturbed_traffic
+from cosim.loop.closed_loop import run
 from cosim.runs import run_tables
 from cosim.runs.episode_figure import picture
 from cosim.runs.policy_loading import driver_of
@@ -20,6 +19,7 @@ from cosim.spec.input_files import find_net, input_files, sha256
 from cosim.spec.scenario import LeftToSumo, Scenario, tag_of
 from cosim.sumo import SumoError
 from cosim.traffic.route_file import arguments
+from cosim.traffic.simulation_input import SumoFiles
 from cosim.world.groups import expected_graph
 from gri.core.policy import Policy
 from gri.errors import InputError
@@ -29,9 +29,9 @@ def survey_job(scenario: Scenario, duration: float, tell: Callable[..., None]) -
     """Survey the undisturbed traffic of a scenario."""
     net = find_net(scenario.net)
     with tempfile.TemporaryDirectory() as scratch:
-        files = Files(net, Path(scratch, "routes.rou.xml"), Path(scratch, "sumo.log"))
+        files = SumoFiles(net, Path(scratch, "routes.rou.xml"), Path(scratch, "sumo.log"))
         try:
-            return survey(perturbed_traffic(scenario), files, duration, tell)
+            return survey(scenario, files, duration, tell)
         except SumoError as error:
             raise InputError(f"SUMO refused the scenario: {error}") from error
 
@@ -61,7 +61,7 @@ def run_job(
     torch.set_num_threads(1)  # the models are tiny: more threads are slower
     inputs, driver = _inputs(scenario, policy), driver_of(scenario, policy)
     with tempfile.TemporaryDirectory() as scratch:
-        files = Files(inputs["net"], Path(scratch, "routes.rou.xml"), folder / "sumo.log")
+        files = SumoFiles(inputs["net"], Path(scratch, "routes.rou.xml"), folder / "sumo.log")
         try:
             outcome = run(scenario, files, driver, tell)
         except SumoError as error:

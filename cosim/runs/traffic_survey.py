@@ -5,9 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from cosim.loop.closed_loop import Files, Tell, prepared, simulation
+from cosim.loop.trunk import Progress
 from cosim.spec.scenario import Scenario
-from cosim.traffic.route_file import route_file
+from cosim.traffic.running_simulation import simulation
+from cosim.traffic.simulation_input import SumoFiles, prepare_simulation
 from cosim.world.snapshot import Snapshot
 
 TELL_EVERY = 100  # steps
@@ -28,16 +29,15 @@ class Survey:
     teleports: int
 
 
-def survey(scenario: Scenario, files: Files, duration: float, tell: Tell) -> Survey:
+def survey(scenario: Scenario, files: SumoFiles, duration: float, tell: Progress) -> Survey:
     """Simulate the warm-up and `duration` [s] more; nobody is taken over."""
-    scenario = prepared(scenario)
-    traffic = scenario.traffic
-    files.routes.write_text(route_file(traffic, scenario.seed, traffic.warm_up + duration))
+    inputs = prepare_simulation(scenario, files, duration)
+    inputs.write()
+    scenario = inputs.scenario
     parts, hardest, collisions, teleports = [], 0.0, 0, 0
-    first, second = scenario.steps(traffic.warm_up), max(scenario.steps(1.0), 1)
-    with simulation(scenario, files) as road:
-        lasts = duration if road.player is None else min(duration, road.player.end)
-        total = first + scenario.steps(lasts)
+    first, second = scenario.steps(scenario.traffic.warm_up), max(scenario.steps(1.0), 1)
+    with simulation(inputs) as road:
+        total = first + scenario.steps(min(duration, inputs.end))
         lanes = {edge: road.world.net.lane_count(edge) for edge in scenario.road.edges}
         for k in range(1, total + 1):
             report = road.world.step()

@@ -52,7 +52,7 @@ def cut_clip(window: Window, buffer: TrajectoryBuffer, scene_steps: int) -> Clip
     if buffer.stride == 1:
         values[:, :-1, COLUMN["v_next"]] = values[:, 1:, COLUMN["v"]]
     ids = [steps[0].ids[row] for row in rows[:, 0]]
-    drivers = tuple(buffer.world.drivers.character(vehicle) for vehicle in ids)
+    drivers = tuple(buffer.world.drivers.parameters(vehicle) for vehicle in ids)
     leader, requester, target = (values[..., COLUMN[name]].astype(int) for name in ("leader", "requester", "target"))
     leader_inside, requester_inside, target_inside = (
         (number[..., None] == window.vehicles).any(-1) for number in (leader, requester, target)

@@ -15,7 +15,7 @@ def speeds_without_leader(
     world: Sumo, vehicles: Sequence[str], leaders: Sequence[tuple[str, str]]
 ) -> Branch[list[float]]:
     """Speeds [m/s] of the vehicles one step later if the first vehicle of each pair ignores the second, its leader."""
-    return _speeds_after(world, vehicles, lambda: world.drivers.ignore(leaders))
+    return _speeds_after(world, vehicles, lambda: world.drivers.ignore_leaders(leaders))
 
 
 def speeds_without_requests(world: Sumo, vehicles: Sequence[str], asked: Sequence[str]) -> Branch[list[float]]:

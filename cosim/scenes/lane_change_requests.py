@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cosim.sumo import Drivers
-from cosim.world.snapshot import Driving, LaneChange
+from cosim.world.snapshot import LaneChange, LaneTraffic
 
 URGENT = int(LaneChange.URGENT)  # as plain integers, which are faster
 SIDES = tuple(
@@ -39,7 +39,7 @@ class LaneChangeEvent:
 
 @dataclass(frozen=True)
 class LaneChangeRequests:
-    """Effects of urgent wishes to change lanes on other vehicles, by row of a `Driving`."""
+    """Effects of urgent wishes to change lanes on other vehicles, by row of a `LaneTraffic`."""
 
     requesters: dict[int, str]
     """Row of each vehicle that is asked to make room -> id of the vehicle that asks it; of several, the nearest."""
@@ -47,11 +47,11 @@ class LaneChangeRequests:
     """Row of each vehicle with an urgent wish -> id of the vehicle ahead in the wanted lane, and the gap to it [m]."""
 
 
-def find_requests(drivers: Drivers, driving: Driving, candidates: Iterable[int]) -> LaneChangeRequests:
+def find_requests(drivers: Drivers, driving: LaneTraffic, candidates: Iterable[int]) -> LaneChangeRequests:
     """The requests and targets of the candidates (rows), and of the vehicles that they ask, which may ask others."""
     asked: dict[int, tuple[float, str]] = {}
     targets: dict[int, tuple[str, float]] = {}
-    rows = driving.where
+    rows = driving.row_of
     waiting = sorted(candidates)
     queued = set(waiting)
     for row in waiting:  # grows in the loop
@@ -76,19 +76,19 @@ def find_requests(drivers: Drivers, driving: Driving, candidates: Iterable[int])
     return LaneChangeRequests({row: requester for row, (_, requester) in asked.items()}, targets)
 
 
-def follower_row(driving: Driving, vehicle: str, centres: Sequence[float]) -> int | None:
+def follower_row(driving: LaneTraffic, vehicle: str, centres: Sequence[float]) -> int | None:
     """Row of the vehicle that follows `vehicle` in its lane; None without one.
 
     `centres` [m] are the lateral positions of the lanes. The follower may still be on an earlier edge of the lane.
     """
-    if vehicle not in driving.where:
+    if vehicle not in driving.row_of:
         return None
-    own = centres[driving.lane[driving.where[vehicle]]]
+    own = centres[driving.lane[driving.row_of[vehicle]]]
     followers = [row for row, leader in enumerate(driving.leader) if leader == vehicle]
     return next((row for row in followers if abs(centres[driving.lane[row]] - own) < SAME_LANE), None)
 
 
-def secure_gap_margin(drivers: Drivers, driving: Driving, follower: int, leader: int) -> float:
+def secure_gap_margin(drivers: Drivers, driving: LaneTraffic, follower: int, leader: int) -> float:
     """Gap between two vehicles (rows) minus the secure gap of the following driver [m]."""
     behind, ahead = driving.ids[follower], driving.ids[leader]
     secure = drivers.secure_gap(behind, driving.v[follower], ahead, driving.v[leader], drivers.braking(ahead))

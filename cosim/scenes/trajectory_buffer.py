@@ -13,7 +13,7 @@ from cosim.scenes.counterfactual_speeds import speeds_without_leader, speeds_wit
 from cosim.scenes.lane_change_requests import LaneChangeEvent, find_requests, follower_row, secure_gap_margin
 from cosim.sumo import Net, Sumo
 from cosim.world.road_frame import RoadFrame
-from cosim.world.snapshot import Driving, LaneChange
+from cosim.world.snapshot import LaneChange, LaneTraffic
 
 READ_FROM_SUMO = ("lane", "position", "v", "leader", "gap")
 FILLED_LATER = ("limit", "v_next", "effect_of_leader", "effect_of_requests")
@@ -133,7 +133,7 @@ class TrajectoryBuffer:
             if first and self.gold:
                 self._pending.append((first, self._start_interventions(first)))
             report = self.world.step()
-            driving = self.world.drivers.driving(self.section.names)
+            driving = self.world.drivers.read_lanes(self.section.names)
             if first and (self.gold or self.stride > 1):  # else the speeds of the next step say it
                 v = dict(zip(driving.ids, driving.v, strict=True))
                 first.values[:, COLUMN["v_next"]] = [v.get(vehicle, np.nan) for vehicle in first.ids]
@@ -162,12 +162,12 @@ class TrajectoryBuffer:
             for name, branch in branches.items():
                 step.values[:, COLUMN[name]] = (step.column("v_next") - branch.result()) / self.dt
 
-    def _lane_changes(self, driving: Driving) -> list[LaneChangeEvent]:
+    def _lane_changes(self, driving: LaneTraffic) -> list[LaneChangeEvent]:
         """Lane changes on the same edge since the last simulation step."""
         lanes, before, changes = self.section.lanes, self._lane_of, []
         now = dict(zip(driving.ids, driving.lane, strict=True))
         for vehicle in [vehicle for vehicle, lane in now.items() if before.get(vehicle) != lane]:
-            if self.world.drivers.must_leave(vehicle):
+            if self.world.drivers.must_change_lane(vehicle):
                 self._must_change.add(vehicle)
             else:
                 self._must_change.discard(vehicle)
@@ -181,7 +181,7 @@ class TrajectoryBuffer:
         self._lane_of = now
         return changes
 
-    def _buffered_step(self, time: float, driving: Driving, changes: list[LaneChangeEvent]) -> BufferedStep:
+    def _buffered_step(self, time: float, driving: LaneTraffic, changes: list[LaneChangeEvent]) -> BufferedStep:
         numbers, count = self.numbers, len(driving.ids)
         leaders = [*map(numbers.__getitem__, driving.leader)]
         values = np.empty((count, len(COLUMNS)))
@@ -190,7 +190,7 @@ class TrajectoryBuffer:
         values[:, : len(READ_FROM_SUMO)] = np.array(read, dtype=float).T
         candidates = self._must_change | self._requested
         requests = find_requests(
-            self.world.drivers, driving, [driving.where[vehicle] for vehicle in candidates if vehicle in driving.where]
+            self.world.drivers, driving, [driving.row_of[vehicle] for vehicle in candidates if vehicle in driving.row_of]
         )
         self._requested = {driving.ids[row] for row in requests.requesters}
         for row, requester in requests.requesters.items():
@@ -202,7 +202,7 @@ class TrajectoryBuffer:
         return BufferedStep(self.count, time, driving.ids, driving.leader, row_of, values, changes, limits)
 
     def _record_lane_change(
-        self, step: BufferedStep, before: BufferedStep | None, driving: Driving, change: LaneChangeEvent
+        self, step: BufferedStep, before: BufferedStep | None, driving: LaneTraffic, change: LaneChangeEvent
     ) -> None:
         """Record the new follower of a lane change, and whether the change was made to help another vehicle."""
         number = self.numbers[change.vehicle]

@@ -13,10 +13,11 @@ import pandas as pd
 import torch
 from msgspec.structs import replace
 
-from cosim.loop.closed_loop import Files, RunningSimulation, Trunk, simulation
-from cosim.loop.driving import Driver, Start, drive, start
-from cosim.loop.perturbed_round import Intervention, prepare
+from cosim.loop.driving import Driver, RoundStart, drive, start_round
+from cosim.loop.intervention import Intervention
+from cosim.loop.perturbed_round import plan_intervention
 from cosim.loop.round_recorder import Round
+from cosim.loop.trunk import Trunk
 from cosim.process.fork import CAN_FORK, fork
 from cosim.runs.policy_loading import driver_of
 from cosim.spec.input_files import find_net
@@ -24,7 +25,8 @@ from cosim.spec.scenario import Scenario
 from cosim.stress.plan import Cell, Chunk, perturbed_scenario
 from cosim.stress.result_rows import result_row
 from cosim.sumo import SumoError
-from cosim.traffic.route_file import route_file
+from cosim.traffic.running_simulation import RunningSimulation, simulation
+from cosim.traffic.simulation_input import SumoFiles, prepare_simulation
 from cosim.world.groups import SAME_LANE, Group
 from cosim.world.snapshot import Snapshot
 from gri.errors import InputError
@@ -61,23 +63,24 @@ def chunk_rows(chunk: Chunk, tell: Callable[..., None]) -> Rows:
     scenario, rows, starts = chunk.scenario, [], 0
     drivers = {name: driver_of(replace(scenario, policy=policy)) for name, policy in chunk.policies.items()}
     cells = {cell: perturbed_scenario(scenario, cell) for cell in chunk.cells}
-    end = scenario.traffic.warm_up + scenario.time_limit
     with tempfile.TemporaryDirectory() as scratch:
-        files = Files(find_net(scenario.net), Path(scratch, "routes.rou.xml"), Path(scratch, "sumo.log"))
-        files.routes.write_text(route_file(scenario.traffic, scenario.seed, end))
+        files = SumoFiles(find_net(scenario.net), Path(scratch, "routes.rou.xml"), Path(scratch, "sumo.log"))
+        inputs = prepare_simulation(replace(scenario, perturbations=()), files, scenario.time_limit)
+        inputs.write()
         try:
-            with simulation(scenario, files) as road:
-                trunk = Trunk(road, scenario)
+            with simulation(inputs) as running:
+                trunk = Trunk(running, inputs.scenario)
                 trunk.warm_up(lambda *_: None)
-                while starts < chunk.starts and trunk.time < end:
-                    history = trunk.look()
-                    task = well_separated(trunk.find(history, limit=chunk.starts - starts), history[-1])
-                    if task.groups:
-                        starts += len(task.groups)
-                        rows += round_rows(road, history, task, cells, drivers)
+                while starts < chunk.starts and trunk.time < inputs.end:
+                    history = trunk.observe_history()
+                    found = trunk.find_groups(history, limit=chunk.starts - starts)
+                    this_round = well_separated(found, history[-1])
+                    if this_round.groups:
+                        starts += len(this_round.groups)
+                        rows += round_rows(running, history, this_round, cells, drivers)
                         tell("starts", starts, chunk.starts)
                         for _ in range(PAUSE):
-                            trunk.look()
+                            trunk.observe_history()
         except SumoError as error:
             raise InputError(f"SUMO refused the scenario: {error}") from error
     if starts < chunk.starts:
@@ -88,7 +91,7 @@ def chunk_rows(chunk: Chunk, tell: Callable[..., None]) -> Rows:
     return rows
 
 
-def well_separated(task: Round, now: Snapshot) -> Round:
+def well_separated(this_round: Round, now: Snapshot) -> Round:
     """The round without the groups that are within MIN_GROUP_DISTANCE of an earlier one in the same lane."""
     chosen: list[Group] = []
     place = {vehicle: (float(s), float(d)) for vehicle, s, d in zip(now.ids, now.s, now.d, strict=True)}
@@ -97,37 +100,37 @@ def well_separated(task: Round, now: Snapshot) -> Round:
         pairs = [(place[a], place[b]) for a in one.ids for b in other.ids]
         return any(abs(a[0] - b[0]) < MIN_GROUP_DISTANCE and abs(a[1] - b[1]) < SAME_LANE for a, b in pairs)
 
-    for group in task.groups:
+    for group in this_round.groups:
         if not any(near(group, other) for other in chosen):
             chosen.append(group)
-    return dataclasses.replace(task, groups=tuple(chosen))
+    return dataclasses.replace(this_round, groups=tuple(chosen))
 
 
 def round_rows(
-    road: RunningSimulation,
+    running: RunningSimulation,
     history: Sequence[Snapshot],
-    task: Round,
+    this_round: Round,
     cells: dict[Cell, Scenario],
     drivers: dict[str, Driver | None],
 ) -> Rows:
     """The rows of one round, each cell and policy in a branch of its own."""
     rows: Rows = []
     for cell, scenario in cells.items():
-        intervention = prepare(scenario, history[-1], task)
+        intervention = plan_intervention(scenario, history[-1], this_round)
         for name, driver in drivers.items():
             labels = {"policy": name, "perturbation": cell.perturbation, "intensity": cell.intensity}
             found = [_labels(group) | {"infeasible": reason.value} for group, reason in intervention.excluded]
-            if intervention.task.groups:
-                begin = start(road.frame, history, intervention.task, driver, intervention)
-                found += fork(lambda: branch_rows(road, begin, intervention, history[-1])).result()  # noqa: B023
+            if intervention.round.groups:
+                start = start_round(running.frame, history, intervention, driver)
+                found += fork(lambda: branch_rows(running, start, intervention, history[-1])).result()  # noqa: B023
             rows += [labels | row for row in found]
     return rows
 
 
-def branch_rows(road: RunningSimulation, begin: Start, intervention: Intervention, before: Snapshot) -> Rows:
+def branch_rows(running: RunningSimulation, start: RoundStart, intervention: Intervention, before: Snapshot) -> Rows:
     """Drive a perturbed round and return its rows. This changes the simulation, so it runs in a branch."""
-    episodes = drive(road.world, road.frame, begin)
-    trace, driven, third_gone = intervention.trace, begin.task.owned, intervention.third_gone
+    episodes = drive(running.world, running.frame, start)
+    trace, driven, third_gone = intervention.snapshots, start.round.driven_roles, intervention.removes_third
     return [
         _labels(episode.group) | {"infeasible": ""} | result_row(episode, change, before, trace, driven, third_gone)
         for episode, change in zip(episodes, intervention.changes, strict=True)

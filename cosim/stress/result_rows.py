@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from cosim.loop.perturbed_round import Change
+from cosim.loop.intervention import GroupChange
 from cosim.measures import surrogate_safety
 from cosim.measures.surrogate_safety import Track
 from cosim.world.episode import COLUMNS, INTERRUPTED, Ending, Episode, EventKind
@@ -17,7 +17,7 @@ OTHER, CUTTER = "other", "cutter"  # names in column `hit`: background traffic, 
 
 def result_row(
     episode: Episode,
-    change: Change,
+    change: GroupChange,
     before: Snapshot,
     trace: Sequence[Snapshot],
     driven: Sequence[int],
@@ -80,7 +80,7 @@ def _effect_on_follower(episode: Episode, before: Snapshot, trace: Sequence[Snap
     return surrogate_safety.effect_on(track) if len(track.time) > 1 else {}
 
 
-def _who_hit_whom(episode: Episode, change: Change, trace: Sequence[Snapshot]) -> str:
+def _who_hit_whom(episode: Episode, change: GroupChange, trace: Sequence[Snapshot]) -> str:
     """Which vehicle ran into which, e.g. "0→1": the first is the one of the two whose front bumper is farther back."""
     now = next(snapshot for snapshot in trace if snapshot.time >= episode.end - 1e-6)
     names = dict(zip(episode.group.ids, "012", strict=True))

@@ -1,4 +1,7 @@
-"""The only door to libsumo: start, step, read, command, close."""
+"""The only room that talks to libsumo: start, step, read, command, close.
+
+Others use what is listed here. Begin with `simulation.sumo` (start) and `simulation.Sumo` (everything else).
+"""
 
 from cosim.sumo.drivers import Drivers as Drivers
 from cosim.sumo.net import Net as Net

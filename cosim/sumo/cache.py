@@ -1,4 +1,4 @@
-"""Answers that are kept, as they do not change while the simulation runs."""
+"""A cache of values that do not change while the simulation runs."""
 
 from collections.abc import Callable
 from typing import TypeVar
@@ -7,7 +7,7 @@ T = TypeVar("T")
 
 
 class CachedAnswers(dict[str, T]):
-    """What does not change about vehicles; asked once."""
+    """A constant value per vehicle, which SUMO is asked for once."""
 
     def __init__(self, ask: Callable[[str], T]) -> None:
         super().__init__()

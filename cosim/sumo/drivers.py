@@ -1,4 +1,4 @@
-"""What SUMO says of its drivers: who they are, whom they see, what they want; and telling them whom not to heed."""
+"""SUMO's drivers: their parameters, leaders and lane-change states, and switching reactions of theirs off."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -6,11 +6,11 @@ from collections.abc import Iterable, Sequence
 import libsumo
 
 from cosim.sumo.cache import CachedAnswers
-from cosim.world.snapshot import DriverParameters, Driving
+from cosim.world.snapshot import DriverParameters, LaneTraffic
 
-_raw = libsumo._libsumo  # without the Python wrappers, for what is asked of every vehicle in every step
+_raw = libsumo._libsumo  # without the Python wrappers, for what is read of every vehicle in every step
 _position, _speed, _vehicles = _raw.vehicle_getLanePosition, _raw.vehicle_getSpeed, _raw.lane_getLastStepVehicleIDs
-_LEADER_RANGE = 100.0  # [m] within which leaders are told
+_LEADER_RANGE = 100.0  # [m] within which leaders are read
 
 
 class Drivers:
@@ -18,22 +18,22 @@ class Drivers:
 
     def __init__(self, sizes: CachedAnswers[tuple[float, float]]) -> None:
         self._sizes = sizes
-        self._least_gaps = CachedAnswers(libsumo.vehicle.getMinGap)
+        self._min_gaps = CachedAnswers(libsumo.vehicle.getMinGap)
 
-    def driving(self, lanes: Sequence[str]) -> Driving:
-        """Read the vehicles on these lanes and what SUMO says of their drivers; shadows of no kind, no twins."""
+    def read_lanes(self, lanes: Sequence[str]) -> LaneTraffic:
+        """Read the vehicles on these lanes and their leaders. The simulation must have no shadow vehicles."""
         on = [*map(_vehicles, lanes)]
         ids = [v for of_lane in on for v in of_lane]
         position = [*map(_position, ids)]
-        leader = [v for of_lane in on if of_lane for v in (*of_lane[1:], "")]  # who is ahead comes later
-        ahead, sizes, least = [*position[1:], 0.0], self._sizes, self._least_gaps
+        leader = [v for of_lane in on if of_lane for v in (*of_lane[1:], "")]  # a lane's first vehicle: below
+        ahead, sizes, min_gaps = [*position[1:], 0.0], self._sizes, self._min_gaps
         gap = [
-            p - sizes[other][0] - own - least[v] if other else math.inf
+            p - sizes[other][0] - own - min_gaps[v] if other else math.inf
             for v, other, own, p in zip(ids, leader, position, ahead, strict=True)
         ]
         for row in [row for row, other in enumerate(leader) if not other]:
             leader[row], gap[row] = libsumo.vehicle.getLeader(ids[row], _LEADER_RANGE) or ("", math.inf)
-        return Driving(
+        return LaneTraffic(
             ids=ids,
             lane=[k for k, of_lane in enumerate(on) for _ in of_lane],
             position=position,
@@ -43,21 +43,21 @@ class Drivers:
         )
 
     def lane_change_state(self, vehicle: str, left: bool) -> int:
-        """What a driver's lane-change model thought of one side in the last step (`LaneChange`)."""
+        """State of a driver's lane-change model for one side in the last step, as bits of `LaneChange`."""
         return libsumo.vehicle.getLaneChangeState(vehicle, 1 if left else -1)[0]
 
-    def must_leave(self, vehicle: str) -> bool:
-        """Whether a vehicle's lane does not take it along its route; it depends on lane and route alone."""
+    def must_change_lane(self, vehicle: str) -> bool:
+        """Whether a vehicle must change its lane to follow its route; it depends on lane and route alone."""
         own = libsumo.vehicle.getLaneID(vehicle)
         return any(lane == own and offset != 0 for lane, _, _, offset, *_ in libsumo.vehicle.getBestLanes(vehicle))
 
     def speeds(self, vehicles: Sequence[str]) -> list[float]:
-        """Speed [m/s] of each vehicle, nan where it is gone."""
-        there = set(libsumo.vehicle.getIDList())
-        return [libsumo.vehicle.getSpeed(v) if v in there else math.nan for v in vehicles]
+        """Speed [m/s] of each vehicle, nan where it left the simulation."""
+        present = set(libsumo.vehicle.getIDList())
+        return [libsumo.vehicle.getSpeed(v) if v in present else math.nan for v in vehicles]
 
-    def character(self, vehicle: str) -> DriverParameters:
-        """What does not change about a vehicle and its driver."""
+    def parameters(self, vehicle: str) -> DriverParameters:
+        """The constant parameters of a vehicle and its driver."""
         api = libsumo.vehicle
         return DriverParameters(
             kind=api.getTypeID(vehicle),
@@ -70,19 +70,19 @@ class Drivers:
         )
 
     def braking(self, vehicle: str) -> float:
-        """How hard a vehicle may brake [m/s²]."""
+        """Deceleration [m/s²] that a vehicle's driver is ready to use."""
         return libsumo.vehicle.getDecel(vehicle)
 
     def follow_speed(self, vehicle: str, v: float, gap: float, v_leader: float, braking: float) -> float:
-        """Speed [m/s] that a driver's car-following model allows at speed v, so far behind a leader.
+        """Speed [m/s] that a driver's car-following model allows at the speed `v`, `gap` [m] behind a leader.
 
-        `braking` [m/s²] is what the leader is able to. Krauss and IDM answer from these numbers alone, so that this may
-        be asked later, as long as the vehicle is there.
+        `braking` [m/s²] is the leader's deceleration. Krauss and IDM depend on these numbers alone, so that this can be
+        asked later, as long as the vehicle is in the simulation.
         """
         return libsumo.vehicle.getFollowSpeed(vehicle, v, gap, v_leader, braking)
 
     def secure_gap(self, vehicle: str, v: float, leader: str, v_leader: float, braking: float) -> float:
-        """Gap [m] beyond its least one that a driver holds to be secure behind a leader."""
+        """Gap [m] minus the minimum gap that a driver holds to be secure behind a leader."""
         return libsumo.vehicle.getSecureGap(vehicle, v, v_leader, braking, leader)
 
     def neighbour(self, vehicle: str, left: bool, ahead: bool) -> tuple[str, float]:
@@ -90,8 +90,8 @@ class Drivers:
         found = libsumo.vehicle.getNeighbors(vehicle, (0 if left else 1) | (2 if ahead else 0))
         return min(found, key=lambda at: at[1], default=("", math.inf))
 
-    def ignore(self, vehicles: Iterable[tuple[str, str]]) -> None:
-        """From now on, the first vehicle of each pair does not see the second as its leader."""
+    def ignore_leaders(self, vehicles: Iterable[tuple[str, str]]) -> None:
+        """From now on, the first vehicle of each pair does not react to the second as its leader."""
         for vehicle, leader in vehicles:
             libsumo.vehicle.setParameter(vehicle, "carFollowModel.ignoreIDs", leader)
 

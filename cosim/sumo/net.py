@@ -1,4 +1,4 @@
-"""What SUMO says of the road network: lanes, edges, where they lie."""
+"""The road network as SUMO reads it: edges, lanes and their positions."""
 
 import math
 from collections.abc import Sequence
@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from cosim.world.road_frame import RoadFrame, without_straight_vertices
-from cosim.world.snapshot import Strip
+from cosim.world.snapshot import LaneStrip
 
 
 class Net:
@@ -19,11 +19,11 @@ class Net:
         return np.array(libsumo.lane.getShape(lane), dtype=float)
 
     def length(self, lane: str) -> float:
-        """Length [m] of a lane as positions along it count; its shape may be longer or shorter."""
+        """Length [m] of a lane for positions along it, which may differ from the length of its shape."""
         return libsumo.lane.getLength(lane)
 
     def lanes_of(self, edges: Sequence[str]) -> list[str]:
-        """Lanes of these edges, those that lead into them and, where the net has them, those of junctions between."""
+        """Lanes of these edges, lanes that lead into them, and lanes of junctions in between where the net has any."""
         lanes = libsumo.lane.getIDList()
         wanted = {lane for lane in lanes if lane.rpartition("_")[0] in edges}
         leading = {lane: [link for link in libsumo.lane.getLinks(lane) if link[0] in wanted] for lane in lanes}
@@ -35,7 +35,7 @@ class Net:
         return int(libsumo.edge.getLaneNumber(edge))
 
     def limits(self, lanes: Sequence[str]) -> list[float]:
-        """Speed limit [m/s] of each lane as it is now."""
+        """Current speed limit [m/s] of each lane."""
         return [libsumo.lane.getMaxSpeed(lane) for lane in lanes]
 
     def edges(self) -> frozenset[str]:
@@ -55,10 +55,10 @@ class Net:
         before = np.diff(line[: start + 1], axis=0)
         return RoadFrame(without_straight_vertices(line), float(np.hypot(before[:, 0], before[:, 1]).sum()))
 
-    def strip(self, lane: str, road: RoadFrame) -> Strip:
-        """Where a lane lies in the road frame; it must run along the road."""
+    def strip(self, lane: str, road: RoadFrame) -> LaneStrip:
+        """The position of a lane in the road frame; the lane must run along the road."""
         s, d = road.to_road(self.shape(lane))
-        return Strip(lane, float(s[0]), float(s[-1]), float(d[-1]), libsumo.lane.getWidth(lane))
+        return LaneStrip(lane, float(s[0]), float(s[-1]), float(d[-1]), libsumo.lane.getWidth(lane))
 
 
 def _meet(end: tuple[float, float], begin: tuple[float, float]) -> bool:

@@ -1,7 +1,7 @@
-"""A recording as the surrounding traffic: every vehicle moves as it was recorded, until somebody else drives it.
+"""A recording as the surrounding traffic: every vehicle moves as it was recorded, until a policy drives it.
 
-Positions are smoothed (gri.data.ngsim.smoothing) and interpolated to the simulation's steps. A file's recordings are
-played one after the other. Whoever was driven by a policy and handed back stays with SUMO's driver.
+Positions are smoothed (gri.data.ngsim.smoothing) and interpolated to the simulation's steps. The recordings of a file
+are played one after the other. A vehicle that a policy drove and handed back stays with SUMO's driver.
 """
 
 from collections import defaultdict
@@ -31,39 +31,43 @@ TRUCK_CLASS = 3  # v_Class in NGSIM's files
 
 
 @dataclass(frozen=True)
-class Track:
-    """One recorded vehicle in the road frame, a value per step from step `first` on; headings are against the road."""
+class RecordedTrack:
+    """One recorded vehicle in the road frame: one value per simulation step from `first_step` on.
+
+    `s` and `d` [m] are the front bumper's coordinates, `heading` [rad] is relative to the road, `v` is in m/s.
+    """
 
     name: str
-    lane: int  # where it was first seen; NGSIM's number
+    lane: int
+    """NGSIM's number of the lane in which the vehicle appears first."""
     truck: bool
     length: float
     width: float
-    first: int
+    first_step: int
     s: Float[np.ndarray, " K"]
     d: Float[np.ndarray, " K"]
     heading: Float[np.ndarray, " K"]
     v: Float[np.ndarray, " K"]
 
     @property
-    def last(self) -> int:
-        """The last step at which it is there."""
-        return self.first + len(self.s) - 1
+    def last_step(self) -> int:
+        """The last step at which the vehicle is present."""
+        return self.first_step + len(self.s) - 1
 
 
 def without_demand(traffic: Traffic) -> Traffic:
-    """The traffic's drivers and routes, with nobody on them and nothing to warm up."""
+    """The traffic's drivers and routes with no vehicles on them, no bottleneck and no warm-up."""
     flows = tuple(replace(flow, per_hour=(0.0,)) for flow in traffic.flows)
     return replace(traffic, flows=flows, warm_up=0.0, bottleneck=None)
 
 
-def tracks_of(background: Replay, step: float) -> tuple[Track, ...]:
-    """All tracks of the recording, in the order in which they begin.
+def read_tracks(background: Replay, step: float) -> tuple[RecordedTrack, ...]:
+    """All tracks of the recording at multiples of `step` [s], in the order in which they begin.
 
     Raises InputError where there is no such file, or it lacks lateral positions or sizes.
     """
     path = recording_path(background)
-    found: list[Track] = []
+    found: list[RecordedTrack] = []
     begin = step
     for recording in recordings(path):
         motion = smoothed(clean(recording)[0], Smoothing(every=1))
@@ -71,15 +75,16 @@ def tracks_of(background: Replay, step: float) -> tuple[Track, ...]:
             continue
         if np.ptp(motion.y) == 0 or not (motion.length > 0).all():
             raise InputError(
-                f"{path}: has no lateral positions (Local_X) or no sizes (v_Length), so that nobody can "
+                f"{path}: has no lateral positions (Local_X) or no sizes (v_Length), so that no vehicle can "
                 "be placed on the road; give a recording that has them"
             )
         found += _tracks(recording.name, motion, background, step, begin)
         begin += float(np.ptp(motion.step)) * FRAME + PAUSE
-    return tuple(sorted(found, key=lambda track: (track.first, track.name)))
+    return tuple(sorted(found, key=lambda track: (track.first_step, track.name)))
 
 
-def _tracks(name: str, motion: Motion, background: Replay, step: float, begin: float) -> Iterator[Track]:
+def _tracks(name: str, motion: Motion, background: Replay, step: float, begin: float) -> Iterator[RecordedTrack]:
+    """The tracks of one recording that begins at `begin` [s] of the simulation."""
     time = begin + (motion.step - motion.step.min()) * FRAME
     bounds = np.flatnonzero(np.r_[True, motion.track[1:] != motion.track[:-1], True])
     for start, end in pairwise(bounds):
@@ -89,13 +94,13 @@ def _tracks(name: str, motion: Motion, background: Replay, step: float, begin: f
         if not len(at):
             continue
         x, y, vx, vy = (np.interp(at, time[rows], getattr(motion, n)[rows]) for n in ("x", "y", "vx", "vy"))
-        yield Track(
+        yield RecordedTrack(
             name=f"{name}/{motion.vehicle[start]}.{motion.track[start]}",
             lane=int(motion.lane[start]),
             truck=bool(motion.kind[start] == TRUCK_CLASS),
             length=float(motion.length[start]),
             width=float(motion.width[start]),
-            first=int(first),
+            first_step=int(first),
             s=x + background.entry,
             d=y + background.lane_1,
             heading=np.where(vx > MOVING, np.arctan2(vy, np.maximum(vx, MOVING)), 0.0),
@@ -103,14 +108,17 @@ def _tracks(name: str, motion: Motion, background: Replay, step: float, begin: f
         )
 
 
-class Player:
-    """Moves the recorded vehicles; to be called before every step of the simulation."""
+class RecordedVehicles:
+    """Moves the recorded vehicles; `move` is called before every step of the simulation.
+
+    Raises InputError where `background.flows` names a flow that the traffic does not have.
+    """
 
     def __init__(
         self,
         world: Sumo,
         road: RoadFrame,
-        tracks: tuple[Track, ...],
+        tracks: tuple[RecordedTrack, ...],
         step: float,
         background: Replay,
         traffic: Traffic,
@@ -118,30 +126,31 @@ class Player:
         self._world, self._road, self._step = world, road, step
         self._flows = {lane: _flow(traffic, flow) for lane, flow in background.flows.items()}
         self._traffic = traffic
-        self._starting: dict[int, list[Track]] = defaultdict(list)
+        self._starting: dict[int, list[RecordedTrack]] = defaultdict(list)
         for track in tracks:
-            self._starting[track.first].append(track)
-        self._ends = {track.name: track.last for track in tracks}
-        self._there: list[Track] = []
-        self._k = 0
+            self._starting[track.first_step].append(track)
+        self._present: list[RecordedTrack] = []
+        self._steps = 0
 
-    @property
-    def end(self) -> float:
-        """When the last vehicle leaves [s]."""
-        return max(self._ends.values(), default=0) * self._step
+    def present_for(self, duration: float) -> frozenset[str]:
+        """The vehicles whose recording lasts for at least `duration` [s] more."""
+        wanted = self._steps + round(duration / self._step)
+        return frozenset(track.name for track in self._present if track.last_step >= wanted)
 
-    def lasting(self, duration: float) -> frozenset[str]:
-        """The vehicles that will still be there after so many seconds from now."""
-        wanted = self._k + round(duration / self._step)
-        return frozenset(track.name for track in self._there if track.last >= wanted)
+    def move(self) -> None:
+        """Command every vehicle to its recorded pose one step from now; insert and remove vehicles at their times.
 
-    def __call__(self) -> None:
-        """Command all vehicles to where they were recorded one step from now; insert and remove them at their times."""
-        self._k += 1
-        for track in self._starting.pop(self._k, ()):
+        A vehicle that has a command already, from a policy, is left alone.
+        """
+        self._steps += 1
+        for track in self._starting.pop(self._steps, ()):
             self._insert(track)
-        self._there = [track for track in self._there if self._stays(track)]
-        rows = [(track, self._k - track.first) for track in self._there if not self._world.is_commanded(track.name)]
+        self._present = [track for track in self._present if self._stays(track)]
+        rows = [
+            (track, self._steps - track.first_step)
+            for track in self._present
+            if not self._world.is_commanded(track.name)
+        ]
         if not rows:
             return
         s, d, heading, v = (np.array([getattr(track, n)[k] for track, k in rows]) for n in ("s", "d", "heading", "v"))
@@ -151,7 +160,7 @@ class Player:
         ):
             self._world.command(track.name, x, y, angle, speed)
 
-    def _insert(self, track: Track) -> None:
+    def _insert(self, track: RecordedTrack) -> None:
         flow = self._flows.get(track.lane, self._traffic.flows[0])
         kind = next(
             (v for v in self._traffic.vehicles if v.name in flow.classes and (v.v_class == "truck") == track.truck),
@@ -160,15 +169,15 @@ class Player:
         variant = f"{kind.name}.{crc32(track.name.encode()) % kind.variants}"
         self._world.add(track.name, flow.name, variant, track.length, track.width, float(track.v[0]))
         self._world.take(track.name)
-        self._there.append(track)
+        self._present.append(track)
 
-    def _stays(self, track: Track) -> bool:
-        """Whether the vehicle is still the recording's, or driven by somebody else; removes it at its end."""
+    def _stays(self, track: RecordedTrack) -> bool:
+        """Whether the vehicle still moves as recorded or as a policy commands; removes it at the end of its track."""
         if self._world.is_commanded(track.name):
             return True
-        if self._world.owns(track.name) and self._k > track.last:
+        if self._world.is_taken(track.name) and self._steps > track.last_step:
             self._world.remove(track.name)
-        return self._world.owns(track.name)
+        return self._world.is_taken(track.name)
 
 
 def _flow(traffic: Traffic, name: str) -> Flow:

@@ -1,1 +1,4 @@
-"""The world as values: snapshots of all vehicles, the road frame, groups, episodes. Nothing here talks to SUMO."""
+"""The world as values: snapshots of vehicles, the road frame, groups, episodes.
+
+Nothing here talks to SUMO. Begin with `snapshot.Snapshot` (what is read) and `episode.Episode` (what a drive gives).
+"""

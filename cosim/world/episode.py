@@ -1,4 +1,4 @@
-"""Episode: the frozen result of driving one group through one closed-loop run."""
+"""Episode: the frozen result of driving one group in one closed-loop run, with its ending and events."""
 
 from dataclasses import dataclass
 from enum import StrEnum
@@ -15,38 +15,42 @@ SUCCESS_HEADWAY = 2.0  # [m], the paper's δ_f (Sec. VI-E)
 
 
 class Ending(StrEnum):
-    """Why a group was handed back."""
+    """Why the drive of a group ended."""
 
-    HORIZON = "horizon"  # driven as long as the scenario says
-    MERGED = "merged"  # vehicle 0 is inside the target lane and stayed there as long as the rule says
+    HORIZON = "horizon"  # the group was driven until the scenario's horizon
+    MERGED = "merged"  # vehicle 0 has been inside the target lane for as long as the rule says
     LATE = "late"  # vehicle 0 did not merge within the horizon
     LANE_END = "lane_end"  # vehicle 0 came to the end of its lane before it was inside the target lane
-    OFF_ROAD = "off_road"  # a driven vehicle left all lanes; SUMO would drop it in the next step without a command
+    OFF_ROAD = "off_road"  # a driven vehicle left all lanes; without a command SUMO would remove it in the next step
     CONTACT = "contact"  # the box of vehicle 0 or 1 touched another one
-    CUT_IN = "cut_in"  # somebody else drove between two of the group
+    CUT_IN = "cut_in"  # another vehicle drove between two of the group
     LANE_LEFT = "lane_left"  # a vehicle of the group that had to keep its lane changed it
     LOST = "lost"  # a vehicle of the group left the simulation
 
 
 INTERRUPTED = frozenset({Ending.CUT_IN, Ending.LANE_LEFT, Ending.LOST})
 ARRIVED = frozenset({Ending.HORIZON, Ending.MERGED})
-LEFT_ALONE = frozenset({"sumo", "recorded"})  # drivers of groups that no policy took
+LEFT_ALONE = frozenset({"sumo", "recorded"})  # drivers of groups that no policy drove
 
 
 class EventKind(StrEnum):
+    """What can happen to a group."""
+
     TAKEN = "taken"
     HANDED_BACK = "handed_back"
     CONTACT = "contact"  # by our oriented boxes
     SUMO_COLLISION = "sumo_collision"  # in SUMO's own list
-    DISAGREEMENT = "disagreement"  # exactly one of the two saw it
-    MISPLACED = "misplaced"  # a commanded vehicle is not where, or not as fast as, it was commanded to be
-    VANISHED = "vanished"  # a commanded vehicle is gone
+    DISAGREEMENT = "disagreement"  # only one of the two tests found the contact
+    MISPLACED = "misplaced"  # place or speed of a commanded vehicle differ from the command
+    VANISHED = "vanished"  # a commanded vehicle is no longer in the simulation
     TELEPORT = "teleport"
     HARD_BRAKING = "hard_braking"  # after the hand-back
 
 
 @dataclass(frozen=True)
 class Event:
+    """Something that happened to vehicles of a group at `time` [s]."""
+
     time: float
     kind: EventKind
     vehicles: tuple[str, ...]
@@ -55,11 +59,12 @@ class Event:
 
 @dataclass(frozen=True)
 class Episode:
-    """What one group did, from the beginning of its history to the end of the watch after the hand-back.
+    """The trajectories and events of one group, from the start of its history to the end of the watch.
 
-    `state` has the features of COLUMNS for the roles 0, 1, 2; `driven` says at which instants which of them stood
-    where the policy put them. `order` lists the roles from the rear to the front, as the group rule has them. `graph`
-    is what the policy went by, one row for each instant of `graph_time` (None where it has no notion of a graph).
+    `state` has the features of COLUMNS for the roles 0, 1, 2, `valid` says where a vehicle is present, `driven` where a
+    policy commanded it. `order` lists the roles from the rear to the front by the group rule. `graph` is the graph that
+    the policy used, one row for each instant of `graph_time` [s] (None where the policy has no graph). `end` [s] is the
+    time of the hand-back, `length` and `width` are in m.
     """
 
     driver: str
@@ -78,23 +83,24 @@ class Episode:
     events: tuple[Event, ...]
 
     def feature(self, name: str) -> Float[np.ndarray, "T 3"]:
+        """One of COLUMNS."""
         return self.state[..., COLUMNS.index(name)]
 
     @property
     def during_drive(self) -> Bool[np.ndarray, " T"]:
-        """The instants from the take-over to the end of the drive, whoever drove."""
+        """The instants from the take-over to the end of the drive, whether a policy or SUMO drove."""
         return (self.time >= self.group.time - 1e-6) & (self.time <= self.end + 1e-6)
 
     @property
     def in_path(self) -> Bool[np.ndarray, "T 2"]:
-        """Whether each of the two rear vehicles of `order` would touch the next one if it went straight on."""
+        """Whether neighbours of `order` overlap laterally, so that the rear one could drive into the other."""
         behind, ahead = list(self.order[:2]), list(self.order[1:])
         d = self.feature("d")
         return np.abs(d[:, behind] - d[:, ahead]) < 0.5 * (self.width[behind] + self.width[ahead])
 
     @property
     def gap(self) -> Float[np.ndarray, "T 2"]:
-        """Net gaps [m] along the road between neighbours of `order`, whatever their lanes and whoever is ahead."""
+        """Net gaps [m] along the road between neighbours of `order`, in any lanes and whichever of both is ahead."""
         s = self.feature("s")
         behind, ahead = list(self.order[:2]), list(self.order[1:])
         in_order = net_gap(s[:, behind], s[:, ahead], self.length[ahead])
@@ -116,9 +122,10 @@ class Episode:
 
     @property
     def success(self) -> bool:
-        """Driven to the horizon, or merged, without contact, and at the end behind who was to be followed by δ_f.
+        """Whether the drive was completed without contact and every follower is behind its leader by δ_f at the end.
 
-        In car following every vehicle must be behind the next one, in a merge vehicle 0 behind the leader.
+        Completed means driven to the horizon, or merged. Car following has the followers 0 and 1, a merge has vehicle 0
+        behind the leader 2 (Sec. VI-E of the paper).
         """
         s = self.feature("s")[np.flatnonzero(self.during_drive)[-1]]
         followed = ((0, 1), (1, 2)) if self.order == (0, 1, 2) else ((0, 2),)

@@ -1,7 +1,7 @@
 """Finding three interacting vehicles in traffic; pure functions of a history of snapshots.
 
 Roles: in car following 0 follows 1 follows 2; in merging 0 merges between the lag vehicle 1 and the leader 2. Vehicle 2
-is the given leader and stays SUMO's (Sec. VI-C, VI-D of the paper).
+is the given leader, which SUMO drives (Sec. VI-C, VI-D of the paper).
 """
 
 from collections.abc import Sequence, Set
@@ -13,7 +13,7 @@ from jaxtyping import Int
 
 from cosim.measures.surrogate_safety import net_gap
 from cosim.spec.scenario import CarFollowing, Merge
-from cosim.world.snapshot import Snapshot, Strip
+from cosim.world.snapshot import LaneStrip, Snapshot
 from gri.core.graph import EdgeType
 
 SAME_LANE = 1.0  # [m] of lateral distance; lanes are wider than 3 m, vehicles keep to their centres
@@ -21,7 +21,7 @@ SAME_LANE = 1.0  # [m] of lateral distance; lanes are wider than 3 m, vehicles k
 
 @dataclass(frozen=True)
 class Group:
-    """The ordered ids (0, 1, 2) of three interacting vehicles, and since when [s] they are one."""
+    """The ids of three interacting vehicles in the order of their roles 0, 1, 2; `time` [s] is when they were found."""
 
     ids: tuple[str, str, str]
     time: float
@@ -29,10 +29,10 @@ class Group:
 
 @dataclass(frozen=True)
 class MergeLanes:
-    """The lane that ends and the lane to its left that takes it up."""
+    """The lane that ends (`source`) and the lane to its left into which vehicles merge (`target`)."""
 
-    source: Strip
-    target: Strip
+    source: LaneStrip
+    target: LaneStrip
 
     @property
     def boundary(self) -> float:
@@ -62,7 +62,7 @@ def next_ahead(snapshot: Snapshot, rows: Int[np.ndarray, " R"]) -> Int[np.ndarra
     return np.where(np.isinf(distance[np.arange(len(rows)), nearest]), -1, nearest)
 
 
-def select(
+def find_groups(
     history: Sequence[Snapshot],
     rule: CarFollowing | Merge,
     *,
@@ -70,9 +70,9 @@ def select(
     eligible: Set[str],
     limit: int,
 ) -> list[Group]:
-    """Up to `limit` groups that fit the rule, from the front of the zone to its rear, no vehicle in two.
+    """Up to `limit` groups that fit the rule, the one farthest ahead first; no vehicle is in two groups.
 
-    `zone` [m] is where vehicle 0 and 2 must be at the end of the history; only `eligible` vehicles are taken.
+    All vehicles of a group are within `zone` (the range of s [m]) at the end of the history and among the `eligible`.
     """
     now, taken, groups = history[-1], set(), []
     rows = now.rows(now.ids)
@@ -95,7 +95,7 @@ def _chains(history: Sequence[Snapshot], rule: CarFollowing, inside: Set[str]) -
         for ids in chains
         if set(ids) <= inside
         and all(at.get(ids[0]) == ids[1] and at.get(ids[1]) == ids[2] for at in leaders)
-        and all(_binding(now, rows[behind], rows[ahead], rule) for behind, ahead in pairwise(ids))
+        and all(_follows_closely(now, rows[behind], rows[ahead], rule) for behind, ahead in pairwise(ids))
         and _steady(history, ids, rule.max_speed_difference)
     ]
 
@@ -110,20 +110,20 @@ def _gap(now: Snapshot, behind: int, ahead: int) -> float:
     return float(net_gap(now.s[[behind]], now.s[[ahead]], now.length[[ahead]])[0])
 
 
-def _binding(now: Snapshot, behind: int, ahead: int, rule: CarFollowing) -> bool:
-    """Whether one vehicle is close enough behind another to have to do with it."""
+def _follows_closely(now: Snapshot, behind: int, ahead: int, rule: CarFollowing) -> bool:
+    """Whether gap and speed of a follower are within the limits of the rule."""
     gap = _gap(now, behind, ahead)
     v = float(now.v[behind])
     return rule.min_gap <= gap <= min(rule.max_gap, rule.max_time_gap * v) and v >= rule.min_speed
 
 
 def _steady(history: Sequence[Snapshot], ids: Sequence[str], max_speed_difference: float) -> bool:
-    """Whether all vehicles kept their lane, and neighbours about the same speed, during the history."""
+    """Whether all vehicles kept their lane and drove at similar speeds as their leaders during the history."""
     rows = [[snapshot.rows(ids)[vehicle] for vehicle in ids] for snapshot in history]
     d = np.array([snapshot.d[row] for snapshot, row in zip(history, rows, strict=True)])
     v = np.array([snapshot.v[row] for snapshot, row in zip(history, rows, strict=True)])
-    in_step = np.abs(np.diff(v, axis=1)) <= max_speed_difference
-    return bool((np.abs(d - d[-1]) < SAME_LANE).all() and in_step.all())
+    similar = np.abs(np.diff(v, axis=1)) <= max_speed_difference
+    return bool((np.abs(d - d[-1]) < SAME_LANE).all() and similar.all())
 
 
 def _merges(history: Sequence[Snapshot], rule: Merge, inside: Set[str]) -> list[tuple[str, str, str]]:
@@ -134,17 +134,17 @@ def _merges(history: Sequence[Snapshot], rule: Merge, inside: Set[str]) -> list[
     for merger in inside:
         if now.lane[rows[merger]] != rule.lane or not rule.zone[0] <= now.s[rows[merger]] <= rule.zone[1]:
             continue
-        place = np.searchsorted([s for s, _ in beside], now.s[rows[merger]])
-        if not 0 < place < len(beside):
+        ahead = np.searchsorted([s for s, _ in beside], now.s[rows[merger]])
+        if not 0 < ahead < len(beside):
             continue
-        ids = merger, beside[place - 1][1], beside[place][1]
-        if set(ids[1:]) <= inside and _acceptable(now, [rows[v] for v in ids], rule) and _kept(history, ids):
+        ids = merger, beside[ahead - 1][1], beside[ahead][1]
+        if set(ids[1:]) <= inside and _acceptable(now, [rows[v] for v in ids], rule) and _kept_lane(history, ids):
             found.append(ids)
     return found
 
 
 def _acceptable(now: Snapshot, rows: list[int], rule: Merge) -> bool:
-    """Whether gaps and speeds between merger, lag vehicle and leader are as the rule wants them."""
+    """Whether gaps and speed differences of merger, lag vehicle and leader are within the limits of the rule."""
     merger, lag, leader = rows
     gaps = _gap(now, lag, merger), _gap(now, merger, leader)
     differences = np.abs(now.v[[lag, leader]] - now.v[merger])
@@ -155,8 +155,8 @@ def _acceptable(now: Snapshot, rows: list[int], rule: Merge) -> bool:
     )
 
 
-def _kept(history: Sequence[Snapshot], ids: tuple[str, str, str]) -> bool:
-    """Whether all three were there all through the history, the last two in one lane."""
+def _kept_lane(history: Sequence[Snapshot], ids: tuple[str, str, str]) -> bool:
+    """Whether all three were present during the whole history and the last two kept their lane."""
     rows = [snapshot.rows(ids) for snapshot in history]
     if any(len(found) < 3 for found in rows):
         return False
@@ -165,7 +165,7 @@ def _kept(history: Sequence[Snapshot], ids: tuple[str, str, str]) -> bool:
 
 
 def expected_graph(rule: CarFollowing | Merge) -> dict[tuple[int, int], EdgeType]:
-    """The relations that the rule's own definition implies; all other pairs have none."""
+    """The relations that the definition of the group rule implies; all other pairs have none."""
     if isinstance(rule, CarFollowing):
         return {(1, 0): EdgeType.FOLLOW, (2, 1): EdgeType.FOLLOW}
     return {(2, 0): EdgeType.FOLLOW, (1, 0): EdgeType.CUT_IN, (0, 1): EdgeType.YIELD}

@@ -1,10 +1,10 @@
 """Reference points and frames, converted here and nowhere else.
 
 World: SUMO's Cartesian plane [m]. A vehicle's pose is its **front-bumper centre** and its heading [rad],
-counter-clockwise from +x. SUMO says angles in navigational degrees (0 = north, clockwise).
+counter-clockwise from +x. SUMO gives angles in navigational degrees (0 = north, clockwise).
 Road: `s` [m] along the reference line of a road from its origin, `d` [m] to its left.
 Model: as road, but every vehicle ahead counts as `NOMINAL_LENGTH` long, because the paper's headways are differences of
-positions and know no lengths (see `model_offsets`).
+positions and do not depend on lengths (see `model_offsets`).
 """
 
 import math
@@ -33,8 +33,8 @@ def sumo_angle_of(heading: float) -> float:
 class RoadFrame:
     """Arc-length coordinates along a polyline.
 
-    `points` are the reference line's vertices, `origin` [m] is the arc length at which s = 0. Beyond its ends the line
-    goes on straight. A point is projected onto the segment it is nearest to.
+    `points` are the reference line's vertices, `origin` [m] is the arc length at which s = 0. The line is extended
+    straight beyond its ends. A point is projected onto the nearest segment.
     """
 
     points: Float[np.ndarray, "M 2"]
@@ -95,7 +95,7 @@ def _turned(x: np.ndarray, y: np.ndarray, direction: np.ndarray) -> tuple[np.nda
 
 
 def without_straight_vertices(line: Float[np.ndarray, "M 2"]) -> Float[np.ndarray, "K 2"]:
-    """The same polyline without vertices at which it goes straight on; projections cost less."""
+    """The same polyline without the vertices at which it does not turn, so that projections cost less."""
     direction = np.diff(line, axis=0)
     direction /= np.hypot(direction[:, 0], direction[:, 1])[:, None]
     turn = direction[:-1, 0] * direction[1:, 1] - direction[:-1, 1] * direction[1:, 0]
@@ -103,11 +103,11 @@ def without_straight_vertices(line: Float[np.ndarray, "M 2"]) -> Float[np.ndarra
 
 
 def model_offsets(length: Float[np.ndarray, "G 3"], order: tuple[int, ...] = (0, 1, 2)) -> Float[np.ndarray, "G 3"]:
-    """What to add to `s` of each vehicle so that its headway is the net gap behind it plus `NOMINAL_LENGTH`.
+    """Offsets [m] of `s` that turn every headway of a group into the net gap plus `NOMINAL_LENGTH`.
 
-    `order` lists the roles from the rear to the front. The offset of the rearmost vehicle is 0; each vehicle ahead is
-    shifted by what the vehicles from there on are shorter or longer than nominal. Offsets are constant in time, so
-    speeds, accelerations and the dynamics are untouched.
+    `order` lists the roles from the rear to the front. The rearmost vehicle has the offset 0. Every vehicle ahead is
+    shifted by the sum of (nominal − true length) of itself and the vehicles between. Offsets are constant in time, so
+    they change neither speeds and accelerations nor the dynamics.
     """
     offsets = np.zeros_like(length)
     for behind, ahead in pairwise(order):

@@ -1,6 +1,6 @@
-"""What is read from the world: all vehicles, or some, at one instant; what happened in a step; where lanes lie.
+"""What is read from SUMO, as plain values: vehicles at one instant, reports of steps, positions of lanes.
 
-Plain values: whoever has them needs no simulation.
+`Snapshot` is what the closed loop reads, `LaneTraffic` is what scenes are made from.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -12,20 +12,17 @@ from itertools import compress
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-COLUMNS = (
-    "s",
-    "d",
-    "x",
-    "y",
-    "heading",
-    "v",
-    "a",
-)  # of tables of vehicles, SI units, frames of cosim/world/road_frame.py
+COLUMNS = ("s", "d", "x", "y", "heading", "v", "a")
+"""Features of vehicle states: SI units, frames of `cosim.world.road_frame`."""
 
 
 @dataclass(frozen=True)
 class Snapshot:
-    """All vehicles at one instant, in SUMO's order of ids. World and road frame (`road_frame`), SI units."""
+    """All vehicles at one instant, in SUMO's order of ids.
+
+    `xy` and `heading` are in the world frame, `s` and `d` in the road frame (`cosim.world.road_frame`), SI units.
+    `lane` is the id of a vehicle's lane, "" where it is on none.
+    """
 
     time: float
     ids: tuple[str, ...]
@@ -40,39 +37,40 @@ class Snapshot:
     lane: tuple[str, ...]
 
     @cached_property
-    def where(self) -> Mapping[str, int]:
+    def row_of(self) -> Mapping[str, int]:
         """Row of every vehicle."""
-        return _places(self.ids)
+        return _row_of(self.ids)
 
     def features(self, rows: Int[np.ndarray, "G N"]) -> Float[np.ndarray, "G N C"]:
         """The features of COLUMNS of the vehicles in these rows."""
-        place = {"x": self.xy[:, 0], "y": self.xy[:, 1]}
-        table = np.array([place[name] if name in place else getattr(self, name) for name in COLUMNS])
+        position = {"x": self.xy[:, 0], "y": self.xy[:, 1]}
+        table = np.array([position[name] if name in position else getattr(self, name) for name in COLUMNS])
         return table[:, rows].transpose(1, 2, 0)
 
     def only(self, wanted: Bool[np.ndarray, " V"]) -> "Snapshot":
-        """Some of the vehicles."""
+        """The snapshot of the wanted vehicles."""
         ids, lane = (tuple(compress(of, wanted)) for of in (self.ids, self.lane))
         arrays = ("xy", "heading", "v", "a", "s", "d", "length", "width")
         return replace(self, ids=ids, lane=lane, **{name: getattr(self, name)[wanted] for name in arrays})
 
     def rows(self, ids: Sequence[str]) -> dict[str, int]:
         """Row of each id that is present."""
-        return {vehicle: self.where[vehicle] for vehicle in ids if vehicle in self.where}
+        return {vehicle: self.row_of[vehicle] for vehicle in ids if vehicle in self.row_of}
 
 
 @lru_cache(maxsize=2)
-def _places(ids: tuple[str, ...]) -> Mapping[str, int]:
-    """Place of every id, the same ones again in most steps."""
+def _row_of(ids: tuple[str, ...]) -> Mapping[str, int]:
+    """Row of every id; cached, as most steps have the same ids as the one before."""
     return dict(zip(ids, range(len(ids)), strict=True))
 
 
 @dataclass(frozen=True)
-class Driving:
-    """The vehicles on some lanes at one instant, lane by lane, and what SUMO says of their drivers.
+class LaneTraffic:
+    """The vehicles on some lanes at one instant, lane by lane, with their leaders.
 
-    Plain lists: they are read in every step. `lane` counts the lanes asked for, `position` [m] runs along the lane.
-    `leader` is "" where none is near, `gap` [m] is what is left to it beyond the driver's least gap.
+    The columns are plain lists because they are read in every step. `lane` is the index of the lane among those read,
+    `position` [m] is along the lane, `v` is in m/s. `leader` is "" where none is near, `gap` [m] is the gap to it minus
+    the driver's minimum gap.
     """
 
     ids: list[str]
@@ -83,7 +81,7 @@ class Driving:
     gap: list[float]
 
     @cached_property
-    def where(self) -> dict[str, int]:
+    def row_of(self) -> dict[str, int]:
         """Row of every vehicle."""
         return dict(zip(self.ids, range(len(self.ids)), strict=True))
 
@@ -104,7 +102,7 @@ class LaneChange(IntFlag):
 
 @dataclass(frozen=True)
 class DriverParameters:
-    """What does not change about a vehicle and its driver; SI units."""
+    """Constant parameters of a vehicle and its driver; SI units."""
 
     kind: str
     length: float
@@ -126,8 +124,8 @@ class StepReport:
 
 
 @dataclass(frozen=True)
-class Strip:
-    """A lane in the road frame: from `begin` to `end` [m], its centre at `centre` [m] to the left, its width [m]."""
+class LaneStrip:
+    """A lane in the road frame: from `begin` to `end` [m] along the road, its `centre` at d [m], its `width` [m]."""
 
     lane: str
     begin: float
@@ -138,28 +136,31 @@ class Strip:
 
 @dataclass
 class NearbyFilter:
-    """Who can come near the `vehicles` within some seconds: who was not far from them, and who entered since."""
+    """The vehicles (`ids`) that can come near to given `vehicles` within some seconds.
+
+    They are those that were not far away at `time` [s], and those that have entered the net since. `lane_ahead` [m] is
+    the distance along the lane that counts as near.
+    """
 
     vehicles: tuple[str, ...]
     lane_ahead: float
     ids: tuple[str, ...]
     time: float
-    """When they were found [s]."""
 
-    def holds(self, vehicles: tuple[str, ...], lane_ahead: float, since: float) -> bool:
-        """Whether they are still those who can come so near to these vehicles."""
+    def is_valid_for(self, vehicles: tuple[str, ...], lane_ahead: float, since: float) -> bool:
+        """Whether the filter is for these vehicles and this distance, and not older than `since` [s]."""
         return self.vehicles == vehicles and self.lane_ahead >= lane_ahead and self.time >= since
 
-    def stepped(self, entered: Sequence[str], gone: Sequence[str]) -> None:
-        """One step later."""
+    def update(self, entered: Sequence[str], gone: Sequence[str]) -> None:
+        """Add the vehicles that entered the net in a step, and drop those that left it."""
         if entered or gone:
             self.ids = tuple([vehicle for vehicle in (*self.ids, *entered) if vehicle not in gone])
 
 
-LANE_AHEAD = 80.0  # [m] along its own lane within which others have to do with a vehicle, if nothing else is said
+LANE_AHEAD = 80.0  # [m] along its lane, within which other vehicles count as near to a vehicle by default
 
 
-def near(
+def is_near(
     s: Float[np.ndarray, " V"],
     d: Float[np.ndarray, " V"],
     rows: Int[np.ndarray, " R"],
@@ -167,9 +168,10 @@ def near(
     across: float = 0,
     lane_ahead: float = LANE_AHEAD,
 ) -> Bool[np.ndarray, " V"]:
-    """Who has to do with the vehicles `rows`: so far along their own lane, 25 m beside it, themselves included.
+    """The vehicles near to those in `rows`, which are near to themselves.
 
-    With `along` and `across`: who is at most so much farther away.
+    Near means less than `lane_ahead` [m] away in the same lane, or less than 25 m along the road in a lane beside it.
+    `along` and `across` [m] widen these limits.
     """
     ds, dd = np.abs(s - s[rows, None]), np.abs(d - d[rows, None])
     involved = ((ds < lane_ahead + along) & (dd < 2 + across)) | ((ds < 25 + along) & (dd < 6 + across))
@@ -177,6 +179,6 @@ def near(
 
 
 def rows_of(ids: Sequence[str], wanted: Iterable[str]) -> Int[np.ndarray, " R"]:
-    """Rows of those of the wanted vehicles that are there."""
+    """Rows of the wanted vehicles that are present."""
     which = set(wanted)
     return np.array([row for row, vehicle in enumerate(ids) if vehicle in which], dtype=int)

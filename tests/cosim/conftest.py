@@ -6,10 +6,11 @@ import msgspec
 import pytest
 import yaml
 
-from cosim.loop.closed_loop import Files, Outcome, run
+from cosim.loop.closed_loop import Outcome, run
 from cosim.loop.driving import Driver
 from cosim.spec.loading import load_scenario
 from cosim.spec.scenario import Scenario
+from cosim.traffic.simulation_input import SumoFiles
 from gri.core.policy import Policy
 from gri.resources import shipped
 
@@ -45,7 +46,7 @@ def simulate(tmp_path: Path):
     def simulate(scenario: Scenario, policy: Policy | Driver | None, name: str = "test", **options: bool) -> Outcome:
         driver = Driver(name, policy) if isinstance(policy, Policy) else policy
         net = shipped("sumo_nets", scenario.net, f"{scenario.net}.net.xml")
-        files = Files(net, tmp_path / "routes.rou.xml", tmp_path / "sumo.log")
+        files = SumoFiles(net, tmp_path / "routes.rou.xml", tmp_path / "sumo.log")
         return run(scenario, files, driver, quiet, **options)
 
     return simulate

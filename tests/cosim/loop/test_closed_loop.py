@@ -28,11 +28,12 @@ def tables_of(outcome, scenario):
 def outcome(short_scenario, tmp_path_factory):
     from pathlib import Path
 
-    from cosim.loop.closed_loop import Files, run
+    from cosim.loop.closed_loop import run
+    from cosim.traffic.simulation_input import SumoFiles
     from gri.resources import shipped
 
     scratch: Path = tmp_path_factory.mktemp("run")
-    files = Files(shipped("sumo_nets/us101/us101.net.xml"), scratch / "r.rou.xml", scratch / "sumo.log")
+    files = SumoFiles(shipped("sumo_nets/us101/us101.net.xml"), scratch / "r.rou.xml", scratch / "sumo.log")
     return run(short_scenario, files, Driver("idm", IDM), lambda *_: None)
 
 
@@ -49,7 +50,7 @@ def test_no_vehicle_is_in_two_groups(outcome):
     assert len(set(ids)) == len(ids)
 
 
-def test_owned_vehicles_stand_where_the_dynamics_put_them(outcome):
+def test_driven_vehicles_stand_where_the_dynamics_put_them(outcome):
     """x' = x + v dt + a dt²/2 and v' = v + a dt between all driven instants, and nothing was misplaced."""
     for episode in outcome.episodes:
         assert not [event for event in episode.events if event.kind in (EventKind.MISPLACED, EventKind.VANISHED)]

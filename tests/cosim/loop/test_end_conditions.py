@@ -6,9 +6,9 @@ import pytest
 from cosim.loop.end_conditions import car_following, merging
 from cosim.world.episode import COLUMNS, Ending
 from cosim.world.groups import MergeLanes, next_ahead
-from cosim.world.snapshot import Snapshot, Strip
+from cosim.world.snapshot import LaneStrip, Snapshot
 
-LANES = MergeLanes(Strip("weave_0", 100.0, 300.0, -8.0, 4.0), Strip("weave_1", 100.0, 300.0, -4.2, 3.6))
+LANES = MergeLanes(LaneStrip("weave_0", 100.0, 300.0, -8.0, 4.0), LaneStrip("weave_1", 100.0, 300.0, -4.2, 3.6))
 ROWS = np.arange(3)
 
 

@@ -1,4 +1,4 @@
-"""Whole runs of merges on both real nets: placement in the plane, twins, endings, who drives, which graph."""
+"""Whole runs of merges on both real nets: placement in the plane, shadow vehicles, endings, driven roles, graphs."""
 
 from pathlib import Path
 
@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 import torch
 
-from cosim.loop.closed_loop import Files, run
+from cosim.loop.closed_loop import run
 from cosim.loop.driving import Driver
 from cosim.loop.round_recorder import PLACEMENT_TOLERANCE
 from cosim.runs.run_tables import events_table, graphs_table, groups_table, steps_table
 from cosim.spec.loading import load_scenario
 from cosim.spec.scenario import Enforced
+from cosim.sumo.positions import SHADOW
+from cosim.traffic.simulation_input import SumoFiles
 from cosim.world.episode import COLUMNS, Ending, EventKind
 from gri.core.graph import LANE_CHANGING, InteractionGraph
 from gri.core.merging_policy import MergingDriver
@@ -34,7 +36,7 @@ def short(site: str, **changes):
 def outcome(request, tmp_path_factory):
     scratch: Path = tmp_path_factory.mktemp("run")
     net = shipped("sumo_nets", request.param, f"{request.param}.net.xml")
-    files = Files(net, scratch / "r.rou.xml", scratch / "sumo.log")
+    files = SumoFiles(net, scratch / "r.rou.xml", scratch / "sumo.log")
     return run(short(request.param), files, Driver("idm", DRIVER), lambda *_: None)
 
 
@@ -52,7 +54,7 @@ def test_groups_are_driven_until_they_merged(outcome):
             assert s[1] - s[0] == pytest.approx(0.2 * v.mean(), abs=0.2 * 0.9)  # nor along the road
 
 
-def test_owned_vehicles_move_by_dubins_equations(outcome):
+def test_driven_vehicles_move_by_dubins_equations(outcome):
     """x' = x + v cosθ dt, y' = y + v sinθ dt, v' = v + a dt between all driven instants of the merger."""
     for episode in outcome.episodes:
         kinds = {event.kind for event in episode.events}
@@ -65,10 +67,10 @@ def test_owned_vehicles_move_by_dubins_equations(outcome):
         np.testing.assert_allclose(v[k], np.maximum(v + 0.2 * a, 0)[before], atol=PLACEMENT_TOLERANCE)
 
 
-def test_twins_are_in_no_table(outcome):
+def test_shadow_vehicles_are_in_no_table(outcome):
     ids = {vehicle for episode in outcome.episodes for event in episode.events for vehicle in event.vehicles}
     ids |= {vehicle for episode in outcome.episodes for vehicle in episode.group.ids}
-    assert not [vehicle for vehicle in ids if "twin" in vehicle]
+    assert not [vehicle for vehicle in ids if vehicle.startswith(SHADOW)]
     assert outcome.collisions == outcome.teleports == 0
 
 

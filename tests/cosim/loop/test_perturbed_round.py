@@ -5,7 +5,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cosim.loop.perturbed_round import prepare
+from cosim.loop.perturbed_round import plan_intervention
 from cosim.loop.round_recorder import Round
 from cosim.perturb.displaced_starts import Infeasible
 from cosim.process.fork import CAN_FORK
@@ -61,11 +61,11 @@ def test_everything_up_to_the_take_over_is_the_same(scenario, simulate):
     plain, perturbed = simulate(scenario, IDM), simulate(under(scenario, headway_ratio=0.3), IDM)
     compared = 0
     for episode in perturbed.episodes:
-        twin = next((other for other in plain.episodes if other.group == episode.group), None)
-        if twin is not None:
+        same = next((other for other in plain.episodes if other.group == episode.group), None)
+        if same is not None:
             past = slice(0, at_start(episode) + 1)
-            np.testing.assert_array_equal(episode.state[past], twin.state[past])
-            assert not np.array_equal(episode.state, twin.state)
+            np.testing.assert_array_equal(episode.state[past], same.state[past])
+            assert not np.array_equal(episode.state, same.state)
             compared += 1
     assert compared >= 2
 
@@ -164,7 +164,7 @@ def test_nobody_cuts_in_for_two_groups_or_out_of_one():
         *(("b" + str(k), 112.0 + 30 * k, -3.66) for k in range(3)),
         ("free", 150.0, 3.66),
     )
-    found = prepare(*asked(now, "a0 a1 a2", "b0 b1 b2"))
+    found = plan_intervention(*arguments(now, "a0 a1 a2", "b0 b1 b2"))
     assert [change.successor for change in found.changes] == ["free"]
     assert [reason for _, reason in found.excluded] == [Infeasible.NO_NEIGHBOUR]
     middle = snapshot(
@@ -172,7 +172,7 @@ def test_nobody_cuts_in_for_two_groups_or_out_of_one():
         *(("b" + str(k), 100.0 + 30 * k, -3.66) for k in range(3)),
         ("free", 150.0, 0.0),
     )
-    found = prepare(*asked(middle, "a0 a1 a2", "b0 b1 b2"))
+    found = plan_intervention(*arguments(middle, "a0 a1 a2", "b0 b1 b2"))
     assert [change.successor for change in found.changes] == ["free"]
     assert len(found.excluded) == 1
 
@@ -185,8 +185,8 @@ def snapshot(*vehicles: tuple[str, float, float]) -> Snapshot:
     return Snapshot(0.0, ids, np.stack([s, d], 1), 0 * n, 10 * n, 0 * n, s, d, 5 * n, 1.8 * n, ("e_0",) * len(ids))
 
 
-def asked(now: Snapshot, *groups: str):
-    """What `prepare` is asked when these groups are to meet a neighbour that cuts in."""
+def arguments(now: Snapshot, *groups: str):
+    """Arguments of `plan_intervention` for these groups and a neighbour that cuts in."""
     scenario = under(load_scenario("us101_car_following"), neighbour_cut_in=0.0)
     made = tuple(Group(tuple(ids.split()), 0.0) for ids in groups)
     return scenario, now, Round(made, scenario.group, (0, 1), 40, 0, 0.2)

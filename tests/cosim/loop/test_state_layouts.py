@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cosim.loop.state_layouts import InPlane, layout_of
+from cosim.loop.state_layouts import PlanarLayout, layout_of
 from cosim.spec.scenario import CarFollowing, Merge
 from cosim.world.episode import COLUMNS
 from cosim.world.road_frame import RoadFrame
@@ -29,7 +29,7 @@ def test_dubins_states_count_from_the_target_lane_and_the_road():
 
 def test_heading_counts_from_the_road_where_the_vehicle_is():
     layout = layout_of(Merge(lane="a_0", zone=(0, 1)), ROAD, seen(), LENGTH)
-    assert isinstance(layout, InPlane)
+    assert isinstance(layout, PlanarLayout)
     beyond = seen(heading=float(np.arctan2(3, 4)) - 2 * np.pi)
     beyond[..., COLUMNS.index("s")] += 100.0
     np.testing.assert_allclose(layout.states(beyond)[..., 3], 0.0, atol=1e-12)

@@ -3,21 +3,21 @@
 import numpy as np
 import pytest
 
-from cosim.perturb.background_vehicles import braking, cutter, cutting_in
-from cosim.perturb.displaced_starts import Cars
+from cosim.perturb.background_vehicles import find_cut_in_vehicle, plan_braking, plan_cut_in
+from cosim.perturb.displaced_starts import VehicleStates
 from cosim.spec.perturbations import LeaderBraking, NeighbourCutIn
 
 LANE = 3.66
 
 
-def cars(*vehicles: tuple[float, float, float]) -> Cars:
+def cars(*vehicles: tuple[float, float, float]) -> VehicleStates:
     s, d, v = np.array(vehicles, dtype=float).reshape(-1, 3).T
-    return Cars(s, d, v, np.full(len(s), 5.0), np.full(len(s), 1.8))
+    return VehicleStates(s, d, v, np.full(len(s), 5.0), np.full(len(s), 1.8))
 
 
 def test_the_leader_brakes_for_two_seconds():
     """From 12 m/s at 4 m/s²: 4 m/s after 2 s and (12 + 4)/2 · 2 = 16 m."""
-    plan = braking("x", 100.0, 3.0, 12.0, LeaderBraking(intensity=4.0), 0.2)
+    plan = plan_braking("x", 100.0, 3.0, 12.0, LeaderBraking(intensity=4.0), 0.2)
     assert len(plan.s) == 10
     assert plan.v[-1] == pytest.approx(4.0)
     assert plan.s[-1] == pytest.approx(116.0)
@@ -26,7 +26,7 @@ def test_the_leader_brakes_for_two_seconds():
 
 
 def test_the_leader_stands_in_the_end():
-    plan = braking("x", 100.0, 0.0, 5.0, LeaderBraking(intensity=8.0), 0.2)
+    plan = plan_braking("x", 100.0, 0.0, 5.0, LeaderBraking(intensity=8.0), 0.2)
     assert plan.v[-1] == 0
     assert plan.s[-1] == pytest.approx(100 + 25 / 16, abs=0.1)  # v²/2b
     assert (np.diff(plan.s) >= 0).all()
@@ -40,7 +40,7 @@ def test_who_cuts_in_fits_into_the_gap():
     spec = NeighbourCutIn(intensity=0.0)
 
     def chosen(*others):
-        return cutter(GROUP, 1, cars(*others), spec)
+        return find_cut_in_vehicle(GROUP, 1, cars(*others), spec)
 
     assert chosen((125, LANE, 9)) is None
     assert chosen((127, LANE, 9)) == 0
@@ -52,7 +52,7 @@ def test_who_cuts_in_fits_into_the_gap():
 
 def test_cutting_in():
     """From the left at 12 m/s to 10 − 2 = 8 m/s; half-way across after 1 s, there after 2 s."""
-    plan = cutting_in("x", (128.0, LANE, 12.0), 0.0, 10.0, NeighbourCutIn(intensity=2.0), 0.2)
+    plan = plan_cut_in("x", (128.0, LANE, 12.0), 0.0, 10.0, NeighbourCutIn(intensity=2.0), 0.2)
     assert len(plan.s) == 20
     assert plan.d[4] == pytest.approx(LANE / 2)
     assert plan.d[9] == pytest.approx(0.0)
@@ -66,5 +66,5 @@ def test_cutting_in():
 
 
 def test_who_is_slower_already_does_not_speed_up():
-    plan = cutting_in("x", (128.0, LANE, 5.0), 0.0, 10.0, NeighbourCutIn(intensity=2.0), 0.2)
+    plan = plan_cut_in("x", (128.0, LANE, 5.0), 0.0, 10.0, NeighbourCutIn(intensity=2.0), 0.2)
     assert (plan.v == 5.0).all()

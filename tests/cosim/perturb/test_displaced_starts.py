@@ -9,11 +9,11 @@ from cosim.perturb.displaced_starts import (
     BRAKING,
     CAR_FOLLOWING,
     MERGE,
-    Cars,
     Infeasible,
+    VehicleStates,
+    collides_despite_braking,
     displaced,
-    hits_ahead,
-    verdict,
+    infeasibility,
 )
 from cosim.spec.perturbations import HeadwayMetres, HeadwayRatio, LeaderBraking, RemoveThird, SpeedOffset
 
@@ -21,10 +21,10 @@ LANE = 3.66
 ROAD = np.array([[0.0, 640.0]] * 3)
 
 
-def cars(*vehicles: tuple[float, float, float], length=5.0, width=1.8) -> Cars:
+def cars(*vehicles: tuple[float, float, float], length=5.0, width=1.8) -> VehicleStates:
     """Vehicles given by (s, d, v)."""
     s, d, v = np.array(vehicles, dtype=float).reshape(-1, 3).T
-    return Cars(s, d, v, np.full(len(s), length), np.full(len(s), width))
+    return VehicleStates(s, d, v, np.full(len(s), length), np.full(len(s), width))
 
 
 CHAIN = cars((100, 0, 10), (120, 0, 10), (140, 0, 10))
@@ -32,8 +32,10 @@ MERGING = cars((100, -LANE, 10), (90, 0, 10), (120, 0, 10))
 NOBODY = cars()
 
 
-def judged(after: Cars, others=NOBODY, before=CHAIN, rule=CAR_FOLLOWING, present=(True, True, True), span=ROAD):
-    return verdict(before, after, others, present=np.array(present), span=span, rule=rule)
+def judged(
+    after: VehicleStates, others=NOBODY, before=CHAIN, rule=CAR_FOLLOWING, present=(True, True, True), span=ROAD
+):
+    return infeasibility(before, after, others, present=np.array(present), span=span, rule=rule)
 
 
 @pytest.mark.parametrize(
@@ -124,8 +126,8 @@ def test_who_was_removed_is_in_nobodys_way():
     assert judged(after, present=(True, True, False)) is None
 
 
-def test_hits_ahead_agrees_with_the_closed_form():
+def test_collides_despite_braking_agrees_with_the_closed_form():
     ahead = np.full(100, 10.0)
-    assert hits_ahead(3.9, 18.0, ahead, 0.2)
-    assert not hits_ahead(4.1, 18.0, ahead, 0.2)
-    assert hits_ahead(0.5, 10.0, np.maximum(10 - 2 * BRAKING * 0.2 * np.arange(20), 0), 0.2)
+    assert collides_despite_braking(3.9, 18.0, ahead, 0.2)
+    assert not collides_despite_braking(4.1, 18.0, ahead, 0.2)
+    assert collides_despite_braking(0.5, 10.0, np.maximum(10 - 2 * BRAKING * 0.2 * np.arange(20), 0), 0.2)

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from cosim.perturb.sensing_and_control import Setting, signals
+from cosim.perturb.sensing_and_control import RoundSetting, sensing_and_control
 from cosim.spec.perturbations import (
     ActionDelay,
     ActionNoise,
@@ -18,21 +18,24 @@ from gri.core.dynamics import DUBINS, POINT_MASS_1D
 
 def setting(dynamics=POINT_MASS_1D, names=("a b c", "d e f"), seed=1, steps=400):
     past = tuple(torch.full((len(names), 3, len(dynamics.state)), -float(k)) for k in (3, 2, 1))
-    return Setting(dynamics, 0.2, steps, seed, names, (0, 1), past)
+    return RoundSetting(dynamics, 0.2, steps, seed, names, (0, 1), past)
 
 
 def seen(spec, value=None, count=5, **options):
     """What comes out of the observation channel when the k-th state is filled with k."""
     chosen = setting(**options)
-    made = signals((spec,), chosen)
-    assert made is not None
+    made = sensing_and_control((spec,), chosen)
     shape = (len(chosen.names), 3, len(chosen.dynamics.state))
     filled = [torch.full(shape, float(k) if value is None else value, dtype=torch.float64) for k in range(count)]
-    return torch.stack([made.see(k, state) for k, state in enumerate(filled)])
+    return torch.stack([made.observed_state(k, state) for k, state in enumerate(filled)])
 
 
-def test_what_is_no_signal_makes_no_channel():
-    assert signals((HeadwayRatio(intensity=0.5),), setting()) is None
+def test_other_perturbations_leave_the_channels_as_they_are():
+    made = sensing_and_control((HeadwayRatio(intensity=0.5),), setting())
+    state, action = torch.ones(2, 3, 3), torch.ones(2, 3, 1)
+    assert made.observed_state(0, state) is state
+    assert made.executed_action(0, action) is action
+    assert made.feasible_state(state) is state
 
 
 def test_latency_shows_the_past_and_what_was_before_the_take_over():
@@ -53,9 +56,8 @@ def test_a_driver_knows_its_own_acceleration_and_yaw_rate_at_once(spec):
 
 
 def test_delayed_actions_begin_with_none():
-    made = signals((ActionDelay(intensity=0.6),), setting())
-    assert made is not None
-    out = [made.apply(k, torch.full((2, 3, 1), 7.0 + k)).flatten()[0].item() for k in range(5)]
+    made = sensing_and_control((ActionDelay(intensity=0.6),), setting())
+    out = [made.executed_action(k, torch.full((2, 3, 1), 7.0 + k)).flatten()[0].item() for k in range(5)]
     assert out == [0, 0, 0, 7, 8]
 
 
@@ -83,9 +85,8 @@ def test_observation_noise_has_its_standard_deviations():
 
 
 def test_action_noise_has_its_standard_deviations():
-    made = signals((ActionNoise(intensity=3.0),), setting(DUBINS))
-    assert made is not None
-    out = torch.stack([made.apply(k, torch.zeros(2, 3, 2)) for k in range(400)])
+    made = sensing_and_control((ActionNoise(intensity=3.0),), setting(DUBINS))
+    out = torch.stack([made.executed_action(k, torch.zeros(2, 3, 2)) for k in range(400)])
     assert out[..., 0].std().item() == pytest.approx(3.0, rel=0.06)
     assert out[..., 1].std().item() == pytest.approx(0.06, rel=0.06)
 
@@ -101,15 +102,13 @@ def test_noise_belongs_to_the_group_and_the_seed_and_to_nothing_else():
 
 def test_low_friction_bounds_the_acceleration():
     """0.2 · 9.81 = 1.962 m/s²."""
-    made = signals((LowFriction(intensity=0.2),), setting())
-    assert made is not None
+    made = sensing_and_control((LowFriction(intensity=0.2),), setting())
     state = torch.tensor([[[0.0, 10.0, -5.0], [0.0, 10.0, 5.0], [0.0, 10.0, 1.0]]])
-    assert made.bound(state)[0, :, 2].tolist() == pytest.approx([-1.962, 1.962, 1.0])
-    assert torch.equal(made.see(0, state), state)
+    assert made.feasible_state(state)[0, :, 2].tolist() == pytest.approx([-1.962, 1.962, 1.0])
+    assert torch.equal(made.observed_state(0, state), state)
 
 
 def test_perturbations_add_up_in_their_order():
-    made = signals((Latency(intensity=0.2), Latency(intensity=0.2)), setting())
-    assert made is not None
-    out = [made.see(k, torch.full((2, 3, 3), float(k))).flatten()[0].item() for k in range(4)]
+    made = sensing_and_control((Latency(intensity=0.2), Latency(intensity=0.2)), setting())
+    out = [made.observed_state(k, torch.full((2, 3, 3), float(k))).flatten()[0].item() for k in range(4)]
     assert out == [-1, -1, 0, 1]

@@ -3,9 +3,9 @@
 import msgspec
 import pytest
 
-from cosim.loop.closed_loop import Files
 from cosim.runs.traffic_survey import survey
 from cosim.spec.loading import load_scenario
+from cosim.traffic.simulation_input import SumoFiles
 from gri.resources import shipped
 
 
@@ -14,7 +14,7 @@ def test_null_run_has_no_collision_and_no_teleport(name, tmp_path):
     scenario = load_scenario(name)
     scenario = msgspec.structs.replace(scenario, traffic=msgspec.structs.replace(scenario.traffic, warm_up=90.0))
     net = shipped("sumo_nets", scenario.net, f"{scenario.net}.net.xml")
-    result = survey(scenario, Files(net, tmp_path / "r.rou.xml", tmp_path / "log"), 30.0, lambda *_: None)
+    result = survey(scenario, SumoFiles(net, tmp_path / "r.rou.xml", tmp_path / "log"), 30.0, lambda *_: None)
     assert result.collisions == result.teleports == 0
     assert set(result.samples["lane"]) >= {1, 2, 3, 4, 5}
     assert result.samples["v"].mean() > 5

@@ -4,7 +4,7 @@ import math
 
 from cosim.scenes.lane_change_requests import find_requests, follower_row
 from cosim.sumo import Drivers
-from cosim.world.snapshot import Driving, LaneChange
+from cosim.world.snapshot import LaneChange, LaneTraffic
 
 WISH = int(LaneChange.LEFT | LaneChange.STRATEGIC | LaneChange.URGENT)
 FOLLOWER, LEADER = int(LaneChange.BLOCKED_BY_LEFT_FOLLOWER), int(LaneChange.BLOCKED_BY_LEFT_LEADER)
@@ -23,10 +23,10 @@ class HandMadeDrivers(Drivers):
         return self.neighbours.get((vehicle, ahead), ("", math.inf)) if left else ("", math.inf)
 
 
-def driving(v: dict[str, float] | None = None, leader: dict[str, str] | None = None) -> Driving:
+def driving(v: dict[str, float] | None = None, leader: dict[str, str] | None = None) -> LaneTraffic:
     """Vehicles m, n on lane 0; f, l on lane 1."""
     ids = ["m", "n", "f", "l"]
-    return Driving(
+    return LaneTraffic(
         ids=ids,
         lane=[0, 0, 1, 1],
         position=[0.0] * 4,
@@ -36,7 +36,7 @@ def driving(v: dict[str, float] | None = None, leader: dict[str, str] | None = N
     )
 
 
-def asked(drivers: HandMadeDrivers, traffic: Driving | None = None) -> dict[int, str]:
+def asked(drivers: HandMadeDrivers, traffic: LaneTraffic | None = None) -> dict[int, str]:
     return find_requests(drivers, traffic or driving(), [0, 1]).requesters
 
 

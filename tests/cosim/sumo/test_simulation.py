@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from cosim.sumo import SumoError, sumo
+from cosim.sumo.positions import SHADOW
 from cosim.world.road_frame import RoadFrame
 from gri.resources import shipped
 
@@ -114,7 +115,7 @@ def test_placement_holds_across_edges(road):
         assert lanes == {"entry_2", "weave_3"}
 
 
-def test_followers_react_to_an_owned_vehicle_one_step_later(road):
+def test_followers_react_to_a_driven_vehicle_one_step_later(road):
     with road(vehicle("leader", 40.0), vehicle("follower", 10.0)) as world:
         s, d, *_ = state_of(world, "leader")
         world.take("leader")
@@ -150,7 +151,7 @@ def test_release_gives_no_jump_and_restores_the_modes(road):
         assert after[1] == pytest.approx(d, abs=1e-6)
 
 
-def straddle(world, twin: bool) -> tuple[float, list[tuple[str, str]], set[str]]:
+def straddle(world, with_shadow: bool) -> tuple[float, list[tuple[str, str]], set[str]]:
     """A car stands across the line between lanes 1 and 2 while another one comes along in lane 2 at 15 m/s.
 
     Returns where the other car ends up relative to it [m], what SUMO reported, and all ids that were seen.
@@ -165,34 +166,34 @@ def straddle(world, twin: bool) -> tuple[float, list[tuple[str, str]], set[str]]
         s += 0.2 * speed
         across = min(d + 0.1 * k, line - 0.05)  # its centre stays in lane 1
         world.command("a", s, across, 0.0, speed, lane="entry_1")
-        if twin and across > line - 0.9:
+        if with_shadow and across > line - 0.9:
             world.place_shadow("a", s, across, 0.0, speed, "entry_2")
         report = world.step()
         collisions += report.collisions
         seen |= {*world.snapshot(ROAD).ids, *report.arrived, *report.teleported}
     behind = s - state_of(world, "b")[0]
-    if twin:
+    if with_shadow:
         world.remove_shadow("a")
         world.step()
-        assert not [v for v in libsumo.vehicle.getIDList() if v.startswith("twin")]
+        assert not [v for v in libsumo.vehicle.getIDList() if v.startswith(SHADOW)]
     world.release("a")
     return behind, collisions, seen
 
 
-def test_a_vehicle_across_a_line_is_seen_in_both_lanes_only_with_a_twin(road):
-    """The other car's lane is the one that `a` is not booked on: without a twin it drives through."""
+def test_a_vehicle_across_a_line_is_seen_in_both_lanes_only_with_a_shadow(road):
+    """The other car's lane is the one that `a` is not booked on: without a shadow it drives through."""
     with road(vehicle("a", 100.0, lane=1), vehicle("b", 30.0, lane=2)) as world:
-        behind, *_ = straddle(world, twin=False)
+        behind, *_ = straddle(world, with_shadow=False)
         assert behind < 0
     with road(vehicle("a", 100.0, lane=1), vehicle("b", 30.0, lane=2)) as world:
-        behind, collisions, seen = straddle(world, twin=True)
+        behind, collisions, seen = straddle(world, with_shadow=True)
         assert behind - 5.0 > 0.5
         assert not collisions
         assert seen == {"a", "b"}
         assert world.waiting() == 0
 
 
-def test_placement_beside_a_twin_is_exact(road):
+def test_placement_beside_a_shadow_is_exact(road):
     with road(vehicle("a", 60.0, lane=1)) as world:
         s, d, *_ = state_of(world, "a")
         world.take("a")
@@ -265,7 +266,7 @@ def test_a_vehicle_that_is_nowhere_is_in_no_snapshot(road, monkeypatch):
     """SUMO may go on listing a vehicle that left all lanes for a few steps, and answers with a sentinel."""
     known, nowhere = libsumo.vehicle.getPosition, (libsumo.constants.INVALID_DOUBLE_VALUE,) * 2
     with road(vehicle("a", 50.0), vehicle("b", 100.0)) as world:
-        monkeypatch.setattr("cosim.sumo.simulation._point", lambda v: nowhere if v == "a" else known(v))
+        monkeypatch.setattr("cosim.sumo.positions._point", lambda v: nowhere if v == "a" else known(v))
         assert world.snapshot(ROAD).ids == ("b",)
         assert world.snapshot(ROAD, around=["a", "b"]).ids == ("b",)
 

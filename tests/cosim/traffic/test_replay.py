@@ -1,4 +1,4 @@
-"""Recorded vehicles in SUMO: where they stand, when they come and go, and who drives among them."""
+"""Recorded vehicles in SUMO: their positions, when they come and go, and a policy among them."""
 
 import os
 from pathlib import Path
@@ -8,14 +8,14 @@ import pandas as pd
 import pytest
 from msgspec.structs import replace
 
-from cosim.loop.closed_loop import Files, prepared, simulation
 from cosim.process.fork import CAN_FORK
 from cosim.runs.run_tables import steps_table
 from cosim.runs.traffic_survey import survey
 from cosim.spec.loading import load_scenario, override, with_recording
 from cosim.spec.scenario import CarFollowing
-from cosim.traffic.replay import tracks_of
-from cosim.traffic.route_file import route_file
+from cosim.traffic.replay import read_tracks
+from cosim.traffic.running_simulation import simulation
+from cosim.traffic.simulation_input import SumoFiles, prepare_simulation
 from cosim.world.episode import Ending, EventKind
 from gri.core.policy import ConstantVelocity, IntelligentDriver
 from gri.errors import InputError
@@ -68,10 +68,10 @@ def at(name: str, ids: tuple[str, ...]) -> int:
 
 def test_vehicles_stand_where_they_were_recorded_and_come_and_go_at_their_times(scenario, tmp_path):
     """Frame 1 is at the first step, t = 0.2 s: 1 is at 10 + 12·(t − 0.2), 5 there from 5.2 s to 10.2 s."""
-    chosen = prepared(scenario)
-    files = Files(shipped("sumo_nets/us101/us101.net.xml"), tmp_path / "r.xml", tmp_path / "log")
-    files.routes.write_text(route_file(chosen.traffic, 1, 30.0))
-    with simulation(chosen, files) as road:
+    files = SumoFiles(shipped("sumo_nets/us101/us101.net.xml"), tmp_path / "r.xml", tmp_path / "log")
+    inputs = prepare_simulation(scenario, files, 30.0)
+    inputs.write()
+    with simulation(inputs) as road:
         for step in range(1, 110):
             road.world.step()
             now, t = road.world.snapshot(road.frame), 0.2 * step
@@ -110,7 +110,7 @@ def test_the_policy_drives_and_the_leader_moves_as_recorded(outcome):
     assert kinds == {EventKind.TAKEN, EventKind.HANDED_BACK}
 
 
-def test_who_was_handed_back_stays_with_sumo(outcome):
+def test_a_vehicle_that_was_handed_back_stays_with_sumo(outcome):
     (driven,), (left,) = outcome.episodes, outcome.left_to_sumo
     after = driven.time > driven.end + 1e-6
     assert after.sum() == 5
@@ -136,7 +136,7 @@ def test_forked_and_replayed_branches_are_the_same(scenario, simulate):
 
 
 def test_a_survey_of_a_replay_shows_the_recording(scenario, tmp_path):
-    files = Files(shipped("sumo_nets/us101/us101.net.xml"), tmp_path / "r.xml", tmp_path / "log")
+    files = SumoFiles(shipped("sumo_nets/us101/us101.net.xml"), tmp_path / "r.xml", tmp_path / "log")
     result = survey(scenario, files, 600.0, quiet)
     assert result.samples["vehicle"].nunique() == 5
     assert result.samples.groupby("lane")["v"].mean().tolist() == pytest.approx([10.0, 12.0], abs=1e-3)
@@ -145,15 +145,15 @@ def test_a_survey_of_a_replay_shows_the_recording(scenario, tmp_path):
 
 def test_bad_recordings_are_refused(scenario, recording, tmp_path):
     with pytest.raises(InputError, match="give one with --recording"):
-        tracks_of(load_scenario("us101_replay").background, 0.2)
+        read_tracks(load_scenario("us101_replay").background, 0.2)
     with pytest.raises(InputError, match="no file"):
-        tracks_of(with_recording(scenario, tmp_path / "none.csv").background, 0.2)
+        read_tracks(with_recording(scenario, tmp_path / "none.csv").background, 0.2)
     with pytest.raises(InputError, match="is simulated"):
         with_recording(load_scenario("us101_car_following"), recording)
     flat = pd.read_csv(recording).assign(Local_X=0.0)
     flat.to_csv(tmp_path / "us-101.csv", index=False)
     with pytest.raises(InputError, match="no lateral positions"):
-        tracks_of(with_recording(scenario, tmp_path / "us-101.csv").background, 0.2)
+        read_tracks(with_recording(scenario, tmp_path / "us-101.csv").background, 0.2)
 
 
 def test_an_unknown_flow_is_refused(scenario, simulate):
@@ -168,18 +168,19 @@ REAL = Path(os.environ.get("NGSIM_US101", "/nowhere"))
 @pytest.mark.skipif(not REAL.is_file(), reason="set NGSIM_US101 to a US-101 trajectory file to run this")
 def test_a_real_recording_is_played_on_the_road(tmp_path):
     """Vehicles are on lanes of the net, hardly ever touch, and most of them are there for as long as they should."""
-    chosen = prepared(with_recording(load_scenario("us101_replay"), REAL))
-    files = Files(shipped("sumo_nets/us101/us101.net.xml"), tmp_path / "r.xml", tmp_path / "log")
-    files.routes.write_text(route_file(chosen.traffic, 1, 100.0))
+    scenario = with_recording(load_scenario("us101_replay"), REAL)
+    files = SumoFiles(shipped("sumo_nets/us101/us101.net.xml"), tmp_path / "r.xml", tmp_path / "log")
+    inputs = prepare_simulation(scenario, files, 100.0)
+    inputs.write()
     seen: set[str] = set()
     off_road = there = 0
-    with simulation(chosen, files) as road:
+    with simulation(inputs) as road:
         for _ in range(300):
             road.world.step()
             now = road.world.snapshot(road.frame)
             seen |= set(now.ids)
             there, off_road = there + len(now.ids), off_road + sum(lane == "" for lane in now.lane)
-    tracks = [track for track in tracks_of(chosen.background, 0.2) if track.first <= 300]
+    tracks = [track for track in inputs.tracks if track.first_step <= 300]
     assert seen == {track.name for track in tracks}
-    assert there == sum(min(track.last, 300) - track.first + 1 for track in tracks)
+    assert there == sum(min(track.last_step, 300) - track.first_step + 1 for track in tracks)
     assert off_road < 0.02 * there

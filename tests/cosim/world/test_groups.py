@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cosim.spec.scenario import CarFollowing, Merge
-from cosim.world.groups import next_ahead, select
+from cosim.world.groups import find_groups, next_ahead
 from cosim.world.snapshot import Snapshot
 
 RULE = CarFollowing(min_gap=2, max_gap=45, max_time_gap=2.5, min_speed=1)
@@ -34,7 +34,7 @@ def traffic(*vehicles: tuple[str, float, float], time: float = 0.0, v: float = 1
 
 def pick(history, rule=RULE, limit=9, eligible=None):
     ids = frozenset(history[-1].ids) if eligible is None else frozenset(eligible)
-    return [group.ids for group in select(history, rule, zone=ZONE, eligible=ids, limit=limit)]
+    return [group.ids for group in find_groups(history, rule, zone=ZONE, eligible=ids, limit=limit)]
 
 
 def test_leaders_are_per_lane():

@@ -1,0 +1,221 @@
+"""Carrying out what perturbations do to a round, step by step, in whatever branch drives it.
+
+`Intervention` disturbs a round as `perturbed_round.plan_intervention` decided. `NoIntervention` leaves a round as it
+is. The loop in `driving` uses either without a difference.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import ClassVar
+
+import numpy as np
+import torch
+from jaxtyping import Bool
+
+from cosim.loop.observation import GroupObservation
+from cosim.loop.round_recorder import Round
+from cosim.loop.state_layouts import Layout
+from cosim.perturb.background_vehicles import PosePlan
+from cosim.perturb.displaced_starts import Infeasible, VehicleStates
+from cosim.perturb.sensing_and_control import RoundSetting, SensingAndControl, sensing_and_control
+from cosim.spec.perturbations import Perturbation, RemoveThird
+from cosim.sumo import Sumo
+from cosim.world.episode import COLUMNS
+from cosim.world.groups import SAME_LANE, Group
+from cosim.world.road_frame import RoadFrame
+from cosim.world.snapshot import Snapshot, is_near, rows_of
+
+PHANTOM_AHEAD = 500.0  # [m], where the phantom of a removed vehicle drives
+_S, _D, _X, _Y, _HEADING, _V, _A = (COLUMNS.index(name) for name in ("s", "d", "x", "y", "heading", "v", "a"))
+
+
+@dataclass(frozen=True)
+class GroupChange:
+    """What happens to one group at its take-over.
+
+    `start` are the states from which it starts, `moved` says which of its vehicles are displaced or have another speed,
+    `plan` is what a background vehicle does, `successor` is the vehicle that cuts in and becomes vehicle 2.
+    """
+
+    start: VehicleStates
+    moved: Bool[np.ndarray, " 3"]
+    plan: PosePlan | None
+    successor: str | None
+
+    def has_arrived(self, now: Snapshot) -> bool:
+        """Whether the successor is in the lane of vehicle 2."""
+        if self.successor is None or self.successor not in now.ids:
+            return False
+        return abs(float(now.d[now.ids.index(self.successor)]) - float(self.start.d[2])) < SAME_LANE
+
+
+@dataclass(frozen=True)
+class Intervention:
+    """Everything that perturbations do to a round.
+
+    `round` has the feasible groups only, `changes` are in their order, `excluded` are the other groups with reasons.
+    `snapshots` are what was seen after each driven or watched step; `observe` adds to them.
+    """
+
+    round: Round
+    excluded: tuple[tuple[Group, Infeasible], ...]
+    changes: tuple[GroupChange, ...]
+    perturbations: tuple[Perturbation, ...]
+    seed: int
+    snapshots: list[Snapshot] = field(default_factory=list)
+
+    @property
+    def removes_third(self) -> bool:
+        """Whether vehicle 2 of every group is removed."""
+        return any(isinstance(spec, RemoveThird) for spec in self.perturbations)
+
+    @property
+    def vehicles(self) -> list[str]:
+        """The vehicles to observe: the groups and the background vehicles that follow a plan."""
+        return [*self.round.vehicles, *(change.plan.vehicle for change in self.changes if change.plan is not None)]
+
+    def channels(self, layout: Layout, history: Sequence[GroupObservation]) -> SensingAndControl:
+        """The perturbed sensors and actuators of this round."""
+        names = tuple(" ".join(group.ids) for group in self.round.groups)
+        past = tuple(torch.from_numpy(layout.states(observation.state)) for observation in history[:-1])
+        setting = RoundSetting(
+            dynamics=layout.dynamics,
+            dt=self.round.dt,
+            steps=self.round.driven_steps,
+            seed=self.seed,
+            names=names,
+            driven_roles=self.round.driven_roles,
+            past=past,
+        )
+        return sensing_and_control(self.perturbations, setting)
+
+    def displaced_start(self, observation: GroupObservation) -> GroupObservation:
+        """The observation of the take-over with the displaced starts."""
+        state = observation.state.copy()
+        for g, change in enumerate(self.changes):
+            state[g, :, _S], state[g, :, _V] = change.start.s, change.start.v
+        return replace(observation, state=state)
+
+    def begin(self, world: Sumo, driven_roles: Sequence[int]) -> None:
+        """Remove vehicles and take those that are to be commanded; a policy drives the `driven_roles`."""
+        for group, change in zip(self.round.groups, self.changes, strict=True):
+            if self.removes_third:
+                world.remove(group.ids[2])
+            for vehicle in self._displaced_vehicles(group, change, driven_roles):
+                world.take(vehicle)
+            if change.plan is not None:
+                world.take(change.plan.vehicle)
+
+    def command(self, world: Sumo, road: RoadFrame, step: int, driven_roles: Sequence[int], now: Snapshot) -> None:
+        """Command, before a step, the displaced and planned vehicles that no policy drives.
+
+        A displaced vehicle is handed back after one step, a planned one at the end of its plan.
+        """
+        present = set(now.ids)
+        for group, change in zip(self.round.groups, self.changes, strict=True):
+            for vehicle, role in self._displaced_vehicles(group, change, driven_roles).items():
+                s, d, v = (float(value[role]) for value in (change.start.s, change.start.d, change.start.v))
+                if step == 0:
+                    _place(world, road, vehicle, s + v * self.round.dt, d, 0.0, v)
+                elif step == 1 and vehicle in present:
+                    world.release(vehicle)
+            plan = change.plan
+            if plan is not None and plan.vehicle in present:
+                if step < len(plan.s):
+                    pose = (float(value[step]) for value in (plan.s, plan.d, plan.heading, plan.v))
+                    _place(world, road, plan.vehicle, *pose)
+                elif step == len(plan.s):
+                    world.release(plan.vehicle)
+
+    def _displaced_vehicles(self, group: Group, change: GroupChange, driven_roles: Sequence[int]) -> dict[str, int]:
+        """Displaced vehicles that no policy drives, with their roles."""
+        return {group.ids[r]: r for r in range(3) if change.moved[r] and r not in driven_roles}
+
+    def observe(self, world: Sumo, road: RoadFrame, before: GroupObservation) -> tuple[Snapshot, GroupObservation]:
+        """The vehicles near the round after a step, and its groups.
+
+        A vehicle that has cut in is vehicle 2 of its group. A removed vehicle 2 is a phantom.
+        """
+        del before
+        now = world.snapshot(road, self.vehicles)
+        self.snapshots.append(now.only(is_near(now.s, now.d, rows_of(now.ids, self.vehicles))))
+        arrived = [change.has_arrived(now) for change in self.changes]
+        groups = [
+            replace(group, ids=(*group.ids[:2], change.successor)) if there else group
+            for group, change, there in zip(self.round.groups, self.changes, arrived, strict=True)
+        ]
+        observation = GroupObservation.of(now, groups)
+        return now, self._with_phantoms(observation, road) if self.removes_third else observation
+
+    def _with_phantoms(self, observation: GroupObservation, road: RoadFrame) -> GroupObservation:
+        """The observation with vehicle 2 far ahead at the speed it had at the take-over."""
+        state, valid = observation.state.copy(), observation.valid.copy()
+        for g, (group, change) in enumerate(zip(self.round.groups, self.changes, strict=True)):
+            s, d, v = (value[2:] for value in (change.start.s, change.start.d, change.start.v))
+            s = s + PHANTOM_AHEAD + v * (observation.time - group.time)
+            xy, heading = road.to_world(s, d)
+            state[g, 2, [_S, _D, _X, _Y, _HEADING, _V, _A]] = s[0], d[0], *xy[0], heading[0], v[0], 0.0
+            valid[g, 2] = True
+        return replace(observation, state=state, valid=valid)
+
+    def shown_to_policy(self, observation: GroupObservation, now: Snapshot) -> GroupObservation:
+        """The observation as the policy gets it.
+
+        A policy's states use the vehicle lengths of the take-over, so the position of a successor is shifted by the
+        difference of the lengths.
+        """
+        if not any(change.successor for change in self.changes):
+            return observation
+        state = observation.state.copy()
+        for g, change in enumerate(self.changes):
+            if change.successor is not None and change.has_arrived(now):
+                state[g, 2, _S] += change.start.length[2] - now.length[now.ids.index(change.successor)]
+        return replace(observation, state=state)
+
+
+@dataclass(frozen=True)
+class NoIntervention:
+    """An undisturbed round: nothing is changed, removed or commanded."""
+
+    round: Round
+    excluded: ClassVar[tuple[tuple[Group, Infeasible], ...]] = ()
+
+    def channels(self, layout: Layout, history: Sequence[GroupObservation]) -> SensingAndControl:
+        """Perfect sensors and actuators."""
+        del history
+        return SensingAndControl(layout.dynamics)
+
+    def displaced_start(self, observation: GroupObservation) -> GroupObservation:
+        """The observation as it is."""
+        return observation
+
+    def begin(self, world: Sumo, driven_roles: Sequence[int]) -> None:
+        """Change nothing."""
+
+    def command(self, world: Sumo, road: RoadFrame, step: int, driven_roles: Sequence[int], now: Snapshot) -> None:
+        """Command nothing."""
+
+    def observe(self, world: Sumo, road: RoadFrame, before: GroupObservation) -> tuple[Snapshot, GroupObservation]:
+        """The vehicles near the round after a step, and its groups."""
+        now = world.snapshot(road, self.round.vehicles, _half_gap(before))
+        return now, GroupObservation.of(now, self.round.groups)
+
+    def shown_to_policy(self, observation: GroupObservation, now: Snapshot) -> GroupObservation:
+        """The observation as it is."""
+        del now
+        return observation
+
+
+def _half_gap(observation: GroupObservation) -> float:
+    """Distance [m] along the lane within which a vehicle between two group members is read, one step later.
+
+    It is half of the largest spacing between two members of a group, rounded up to 10 m, plus 10 m.
+    """
+    spacing = np.diff(np.sort(observation.state[..., _S], axis=1), axis=1).max()
+    return 10.0 * math.ceil(spacing / 20.0) + 10.0
+
+
+def _place(world: Sumo, road: RoadFrame, vehicle: str, s: float, d: float, heading: float, v: float) -> None:
+    xy, along = road.to_world(np.array([s]), np.array([d]))
+    world.command(vehicle, float(xy[0, 0]), float(xy[0, 1]), float(along[0]) + heading, v)

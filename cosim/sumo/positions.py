@@ -1,0 +1,72 @@
+"""Reading the positions of vehicles: of all, or of those near to given ones, of which as few as possible are read."""
+
+from collections.abc import Iterable, Sequence
+from itertools import chain
+
+import libsumo
+import numpy as np
+
+from cosim.world.road_frame import RoadFrame
+from cosim.world.snapshot import NearbyFilter, is_near, rows_of
+
+SHADOW = "twin:"  # prefix of the ids of shadow vehicles; SUMO orders vehicles by id, so another one can change results
+_RINGS = ((5.0, 150.0, 20.0), (1.0, 30.0, 4.0))
+"""Which positions are read: (valid for [s], margin along the road [m], margin across it [m]).
+
+The positions of all vehicles are read every 5 s. Every second, only vehicles within the first margins of being near are
+read. In between, only those within the second margins are read. No vehicle moves farther than its margin in that time.
+"""
+_NOWHERE = (libsumo.constants.INVALID_DOUBLE_VALUE,) * 2  # the position of a vehicle that is off all lanes
+_point = libsumo._libsumo.vehicle_getPosition  # without libsumo's Python wrapper, which takes as long again
+
+# ids, world points [V, 2], s and d of some vehicles
+Positions = tuple[tuple[str, ...], np.ndarray, np.ndarray, np.ndarray]
+
+
+class PositionReader:
+    """Reads positions in the running simulation, and remembers which vehicles were far from the ones last asked for."""
+
+    def __init__(self) -> None:
+        self._rings: list[NearbyFilter] = []
+
+    def update(self, arrived: Sequence[str]) -> None:
+        """Take note of the vehicles that entered and left the net in a step."""
+        if self._rings:
+            departed = without_shadows(libsumo.simulation.getDepartedIDList())
+            for ring in self._rings:
+                ring.update(departed, arrived)
+
+    def of_all(self, road: RoadFrame) -> Positions:
+        """The positions of all vehicles."""
+        return _positions(road, without_shadows(libsumo.vehicle.getIDList()))
+
+    def of_nearby(self, road: RoadFrame, around: tuple[str, ...], lane_ahead: float) -> Positions:
+        """The positions of the vehicles near to those `around`, and of some more; see `is_near` for `lane_ahead`."""
+        rings, now = self._rings, libsumo.simulation.getTime()
+        while rings and not rings[-1].is_valid_for(around, lane_ahead, now - _RINGS[len(rings) - 1][0] + 1e-6):
+            rings.pop()
+        try:
+            ids, xy, s, d = _positions(road, rings[-1].ids) if rings else self.of_all(road)
+        except libsumo.TraCIException:  # a vehicle vanished without having arrived
+            rings.clear()
+            return self.of_nearby(road, around, lane_ahead)
+        for _, along, across in _RINGS[len(rings) :]:
+            rows = np.flatnonzero(is_near(s, d, rows_of(ids, around), along, across, lane_ahead))
+            ids, xy, s, d = tuple([ids[row] for row in rows.tolist()]), xy[rows], s[rows], d[rows]
+            rings.append(NearbyFilter(around, lane_ahead, ids, now))
+        return ids, xy, s, d
+
+
+def _positions(road: RoadFrame, ids: tuple[str, ...]) -> Positions:
+    """The positions of vehicles that have one: SUMO lists a vehicle that left all lanes for a few steps more."""
+    points = [*map(_point, ids)]
+    if _NOWHERE in points:
+        ids = tuple(v for v, point in zip(ids, points, strict=True) if point != _NOWHERE)
+        points = [point for point in points if point != _NOWHERE]
+    xy = np.array([*chain.from_iterable(points)], dtype=float).reshape(-1, 2)
+    return ids, xy, *road.to_road(xy)
+
+
+def without_shadows(ids: Iterable[str]) -> tuple[str, ...]:
+    """The ids without those of shadow vehicles."""
+    return tuple(vehicle for vehicle in ids if not vehicle.startswith(SHADOW))

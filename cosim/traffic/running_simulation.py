@@ -1,0 +1,56 @@
+"""Starting SUMO from a `SimulationInput`, and what is known of the simulation while it runs."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from cosim.spec.scenario import Merge, Replay, Scenario
+from cosim.sumo import Sumo, sumo
+from cosim.traffic.replay import RecordedVehicles
+from cosim.traffic.simulation_input import SimulationInput
+from cosim.world.groups import MergeLanes, target_lane
+from cosim.world.road_frame import RoadFrame
+from gri.errors import InputError
+
+
+@dataclass(frozen=True)
+class RunningSimulation:
+    """A running simulation, the frame of its main road, its merging lanes and its recorded vehicles, if any."""
+
+    world: Sumo
+    frame: RoadFrame
+    lanes: MergeLanes | None
+    recorded: RecordedVehicles | None
+
+
+@contextmanager
+def simulation(inputs: SimulationInput) -> Iterator[RunningSimulation]:
+    """Start SUMO on files that are written already, and check the scenario against its net.
+
+    Raises InputError where the net lacks an edge or a lane of the scenario, SumoError where SUMO refuses.
+    """
+    scenario = inputs.scenario
+    with sumo(inputs.arguments, inputs.files.log) as world:
+        known = world.net.edges()
+        if missing := [edge for edge in scenario.road.edges if edge not in known]:
+            raise InputError(f"road.edges: the net {inputs.files.net} has no edge {missing[0]!r}")
+        frame = world.net.road(scenario.road.edges, scenario.road.origin)
+        recorded = None
+        if isinstance(scenario.background, Replay):
+            recorded = RecordedVehicles(
+                world, frame, inputs.tracks, scenario.step, scenario.background, scenario.traffic
+            )
+            world.before_step = recorded.move
+        yield RunningSimulation(world, frame, _merge_lanes(world, frame, scenario), recorded)
+
+
+def _merge_lanes(world: Sumo, road: RoadFrame, scenario: Scenario) -> MergeLanes | None:
+    """The lanes of a merge rule in the road frame; None for other rules."""
+    rule = scenario.group
+    if not isinstance(rule, Merge):
+        return None
+    known = world.net.edges()
+    for lane in (rule.lane, target_lane(rule)):
+        if lane not in known:
+            raise InputError(f"group.lane: got {rule.lane!r}, but the net has no lane {lane!r}; name the ending lane")
+    return MergeLanes(world.net.strip(rule.lane, road), world.net.strip(target_lane(rule), road))

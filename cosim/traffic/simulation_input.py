@@ -1,0 +1,77 @@
+"""Everything that SUMO is started with: one value, made once, before anything runs."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from msgspec.structs import replace
+
+from cosim.perturb.traffic_demand import perturbed_traffic
+from cosim.spec.scenario import Replay, Scenario
+from cosim.traffic.replay import RecordedTrack, read_tracks, without_demand
+from cosim.traffic.route_file import arguments, route_file, sign_file
+
+
+@dataclass(frozen=True)
+class SumoFiles:
+    """Paths of the files that SUMO reads and writes: the net, the route file and the log of its messages."""
+
+    net: Path
+    routes: Path
+    log: Path
+
+    @property
+    def signs(self) -> Path:
+        """Path of the file of variable speed signs, beside the route file."""
+        return self.routes.with_suffix(".signs.xml")
+
+
+@dataclass(frozen=True)
+class SimulationInput:
+    """What SUMO is started with.
+
+    `scenario` is the scenario as it is simulated: where a recording is replayed, its traffic has no demand and no
+    warm-up. `route_text` and `sign_text` are the contents of the files, `arguments` is SUMO's command line, `tracks`
+    are the recorded vehicles to replay. Traffic perturbations of the scenario are part of the route file only.
+    """
+
+    scenario: Scenario
+    files: SumoFiles
+    route_text: str
+    sign_text: str
+    arguments: tuple[str, ...]
+    tracks: tuple[RecordedTrack, ...]
+    end: float
+    """Time [s] until which there is traffic: the end of the demand, or of the recording where that ends earlier."""
+
+    def write(self) -> None:
+        """Write the route file and the file of variable speed signs."""
+        self.files.routes.write_text(self.route_text)
+        self.files.signs.write_text(self.sign_text)
+
+
+def prepare_simulation(scenario: Scenario, files: SumoFiles, duration: float) -> SimulationInput:
+    """Make the input of a simulation that lasts the warm-up and `duration` [s] more; nothing is written or started.
+
+    Raises InputError where the recording to replay is missing or lacks a column.
+    """
+    tracks: tuple[RecordedTrack, ...] = ()
+    if isinstance(scenario.background, Replay):
+        tracks = read_tracks(scenario.background, scenario.step)
+        scenario = replace(scenario, traffic=without_demand(scenario.traffic))
+    end = scenario.traffic.warm_up + duration
+    paths = (str(path) for path in (files.net, files.routes, files.signs, files.log))
+    return SimulationInput(
+        scenario=scenario,
+        files=files,
+        route_text=route_file(perturbed_traffic(scenario).traffic, scenario.seed, end),
+        sign_text=sign_file(scenario.traffic),
+        arguments=tuple(arguments(scenario, *paths)),
+        tracks=tracks,
+        end=_end_of_traffic(scenario, tracks, end),
+    )
+
+
+def _end_of_traffic(scenario: Scenario, tracks: tuple[RecordedTrack, ...], end: float) -> float:
+    if not isinstance(scenario.background, Replay):
+        return end
+    return min(end, max((track.last_step for track in tracks), default=0) * scenario.step)
