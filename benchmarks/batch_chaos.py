@@ -1,9 +1,9 @@
-"""A batch of 500 tiny runs under fire: workers and running copies killed by SIGKILL at random, then the command itself.
+"""Robustness of a batch of 500 tiny runs: workers and runs are killed by SIGKILL at random, then the command itself.
 
     python benchmarks/batch_chaos.py --out /tmp/chaos [--kills 24] [--lives 3]
 
-Every life of the command but the last ends with SIGKILL; the last one finishes the batch. Prints how the attempts and
-the runs ended, and how the memory of the runs' processes went. Needs /proc.
+The command is started `--lives` times. Every time but the last it is killed; the last time it finishes the batch.
+Prints how the attempts and the runs ended, and the trend of the processes' memory. Needs /proc.
 """
 
 import argparse
@@ -23,14 +23,14 @@ BATCH = Path(__file__).parent / "batch.yaml"
 
 
 def descendants(pid: int) -> list[int]:
-    """Workers and the runs in them."""
+    """Process ids of the workers and of the runs in them."""
     found = []
     for listed in Path(f"/proc/{pid}/task").glob("*/children"):
         try:
             for child in map(int, listed.read_text().split()):
                 found += [child, *descendants(child)]
         except OSError:
-            continue  # it ended meanwhile
+            continue  # the process has ended
     return found
 
 
@@ -41,8 +41,8 @@ def is_run(pid: int) -> bool:
         return False
 
 
-def shoot(command: subprocess.Popen[bytes], kills: int, rng: random.Random) -> int:
-    """Kill so many at random moments, as long as the command lives; how many it were."""
+def kill_at_random(command: subprocess.Popen[bytes], kills: int, rng: random.Random) -> int:
+    """Kill up to `kills` processes at random times while the command runs; returns how many were killed."""
     done = 0
     while done < kills and command.poll() is None:
         time.sleep(rng.uniform(0.5, 4.0))
@@ -66,7 +66,7 @@ def main() -> None:
     rng, kills, began = random.Random(1), 0, time.monotonic()
     for _ in range(options.lives - 1):
         with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
-            kills += shoot(process, options.kills // (options.lives - 1), rng)
+            kills += kill_at_random(process, options.kills // (options.lives - 1), rng)
             process.kill()
     subprocess.run([*command, "--retry-failed"], check=True)
     states = json.loads((options.out / "manifest.json").read_text())["states"]

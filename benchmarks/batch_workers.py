@@ -1,4 +1,4 @@
-"""Throughput of two workers over that of one, on the same 500 tiny runs, and whether both wrote the same bytes.
+"""Throughput of two workers ÷ that of one on the same 500 tiny runs, and whether both wrote the same bytes.
 
 python benchmarks/batch_workers.py --out /tmp/workers [--runs 500]
 """

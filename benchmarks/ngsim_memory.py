@@ -4,7 +4,8 @@
     python benchmarks/ngsim_memory.py --periods 10   # the data portal's form, all periods in one file: 12 million rows
     python benchmarks/ngsim_memory.py --periods 10 --only inspect
 
-Traffic is five lanes at constant speeds: as many rows, vehicles and scenes as in a recording, nothing of one.
+The traffic is five lanes at constant speeds. It has as many rows, vehicles and scenes as a recording, but contains no
+recorded data.
 """
 
 import argparse

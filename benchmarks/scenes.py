@@ -2,10 +2,10 @@
 
     python benchmarks/scenes.py [SCENARIO] [--rounds 3] [--steps 1000]
 
-Both sides are branches of one warmed-up simulation and start from the same state. One steps the traffic bare, one does
-everything `cosim scenes` does with rule labels: reading, asking, searching, cutting, labelling, writing. They take
-turns every 50 steps, so that whatever else the machine does slows both alike. CPU time; the second ratio is that of all
-CPU time of the extracting side to what it spent stepping.
+Both sides are branches of one warmed-up simulation and start from the same state. One only steps the traffic. The other
+does everything that `cosim scenes` does with rule labels: reading, searching, cutting, labelling, writing. They take
+turns every 50 steps, so that other load of the machine slows both alike. Times are CPU times. The second ratio is all
+CPU time of the side that makes scenes ÷ the part of it spent in stepping.
 """
 
 import argparse
@@ -72,7 +72,7 @@ def _timed(world: Sumo) -> list[float]:
 
 @contextmanager
 def warmed(name: str, steps: int) -> Iterator[tuple[Sumo, SeedSpec, Path]]:
-    """The scenario's traffic after its warm-up, with demand for so many steps more."""
+    """The scenario's traffic after its warm-up, with demand for `steps` more."""
     scenario = load_scenario(name)
     spec = SeedSpec(scenario=scenario, source="", split="train", kinds=KINDS, count=10**6, gold=False, rules=Rules())
     end = scenario.traffic.warm_up + steps * scenario.step

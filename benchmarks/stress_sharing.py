@@ -1,10 +1,10 @@
-"""A stress test from one warmed-up simulation ÷ one simulation per cell and policy, side by side in one run.
+"""Cost of one simulation per cell and policy ÷ cost of a stress test that shares one warmed-up simulation.
 
     python benchmarks/stress_sharing.py [--starts 10] [--measured 2]
 
-Shared: one warm-up, and of each round a branch per cell and policy (`cosim.stress.chunk`). Alone: every cell and policy
-warms up and drives the same starts in a simulation of its own; `--measured` of them are run, evenly spread, and their
-mean stands for all. CPU seconds of the process and its branches.
+Shared: there is one warm-up, and each round has a branch per cell and policy (`cosim.stress.chunk`). Alone: every cell
+and policy warms up and drives the same starts in a simulation of its own. Only `--measured` of these are run, evenly
+spread, and their mean is used for all. Times are CPU seconds of the process and its branches.
 """
 
 import argparse
@@ -22,7 +22,7 @@ KINDS = ("headway_ratio", "leader_braking", "observation_noise", "latency", "act
 
 
 def cpu() -> float:
-    used = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    used = [resource.getrusage(kind) for kind in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
     return sum(usage.ru_utime + usage.ru_stime for usage in used)
 
 

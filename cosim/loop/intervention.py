@@ -1,7 +1,7 @@
 """Carrying out what perturbations do to a round, step by step, in whatever branch drives it.
 
-`Intervention` disturbs a round as `perturbed_round.plan_intervention` decided. `NoIntervention` leaves a round as it
-is. The loop in `driving` uses either without a difference.
+`Intervention` does what `perturbed_round.plan_intervention` has planned. `NoIntervention` leaves a round as it is. The
+loop in `driving` treats both alike.
 """
 
 import math
@@ -55,7 +55,7 @@ class Intervention:
     """Everything that perturbations do to a round.
 
     `round` has the feasible groups only, `changes` are in their order, `excluded` are the other groups with reasons.
-    `snapshots` are what was seen after each driven or watched step; `observe` adds to them.
+    `snapshots` are the vehicles near the round after each driven or watched step; `observe` adds to them.
     """
 
     round: Round

@@ -17,7 +17,7 @@ from cosim.world.snapshot import Snapshot, StepReport
 
 PLACEMENT_TOLERANCE = 1e-6  # [m], [m/s]
 HARD_BRAKING = 4.5  # [m/s^2]
-CONTACT_ROLES = 2  # the roles 0 and 1 are tested for contacts, whoever drives them
+CONTACT_ROLES = 2  # the roles 0 and 1 are tested for contacts, driven or not
 _S, _D, _V, _A = (COLUMNS.index(name) for name in ("s", "d", "v", "a"))
 
 

@@ -1,7 +1,7 @@
 """Take-over, commands and hand-back: what SUMO is told about the vehicles that a policy drives.
 
-`PolicyControl` is a policy in control of its vehicles. `SumoControl` leaves every vehicle as it is: all its methods do
-nothing. The loop in `driving` uses either without a difference.
+`PolicyControl` is a policy in control of its vehicles. `SumoControl` stands for no policy: its methods do nothing. The
+loop in `driving` treats both alike.
 """
 
 from collections.abc import Sequence, Set
@@ -113,7 +113,7 @@ class SumoControl:
         """Hand nothing back."""
 
     def observe(self, observation: GroupObservation, active: Sequence[int]) -> None:
-        """Show nobody anything."""
+        """Show nothing to any policy."""
 
 
 Control = PolicyControl | SumoControl

@@ -1,7 +1,7 @@
 """Run a function in a copy of this process, its simulation included, while the original waits or goes on.
 
 A copy made by `os.fork` shares the past with the original bit for bit and costs milliseconds. Systems without fork
-replay the past from t = 0 instead (see `cosim.loop.closed_loop`); both give the same episodes.
+simulate the past again from t = 0 instead (see `cosim.loop.closed_loop`); both give the same episodes.
 """
 
 import os

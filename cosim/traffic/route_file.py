@@ -1,4 +1,4 @@
-"""From a traffic description to SUMO's route file text and argument list; pure, so both can be read and tested."""
+"""SUMO's route file, file of speed signs and arguments as text, made from a traffic description by pure functions."""
 
 from collections.abc import Iterator
 from statistics import NormalDist
@@ -11,10 +11,10 @@ from cosim.spec.scenario import Scenario
 
 
 def route_file(traffic: Traffic, seed: int, end: float) -> str:
-    """SUMO route file: types, routes and every vehicle until `end` [s], in order of departure.
+    """SUMO's route file: vehicle types, routes and every vehicle until `end` [s], in the order of departure.
 
-    Each demand interval gets its exact number of vehicles (the rounding error is carried over), at uniformly random
-    times: a Poisson process given its counts.
+    Each demand interval gets its exact number of vehicles (the rounding error is carried over) at uniformly random
+    times. This is a Poisson process with given counts.
     """
     streams = np.random.SeedSequence(seed).spawn(len(traffic.vehicles) + len(traffic.flows))
     lines = []
@@ -33,9 +33,9 @@ def route_file(traffic: Traffic, seed: int, end: float) -> str:
 
 
 def sign_file(traffic: Traffic) -> str:
-    """SUMO additional file: the bottleneck's variable speed sign, or nothing.
+    """SUMO's additional file with the bottleneck's variable speed sign, if there is a bottleneck.
 
-    SUMO changes the limits by itself, so that whoever shares or replays the past shares them (doc: VSS).
+    SUMO changes the limits by itself, so that every branch of a simulation has them (SUMO doc: Variable Speed Signs).
     """
     lines = []
     if traffic.bottleneck is not None:
@@ -49,10 +49,10 @@ def sign_file(traffic: Traffic) -> str:
 
 
 def _standard_normal(rng: np.random.Generator, n: int) -> np.ndarray:
-    """The n quantiles of a standard normal in random order, cut off at ±2.
+    """The n quantiles of a standard normal distribution in random order, cut off at ±2.
 
-    Unlike independent draws they have the same mean whatever the seed, so that the capacity of a road full of these
-    drivers does not depend on it.
+    Unlike independent draws they have the same mean for every seed, so that the capacity of a road does not depend on
+    the seed.
     """
     quantiles = np.array([NormalDist().inv_cdf((k + 0.5) / n) for k in range(n)])
     return np.clip(rng.permutation(quantiles), -2, 2)
@@ -63,7 +63,7 @@ def _normal(rng: np.random.Generator, mean: float, sd: float, n: int) -> np.ndar
 
 
 def _types(vehicles: VehicleClass, rng: np.random.Generator) -> list[str]:
-    """The vType elements of one class: `variants` draws of its distributions."""
+    """The vType elements of one vehicle class: `variants` draws from its distributions."""
     n, lane = vehicles.variants, vehicles.lane_changing
     sigma = np.sqrt(np.log1p(vehicles.tau_cv**2))
     tau = vehicles.tau * np.exp(sigma * _standard_normal(rng, n) - sigma**2 / 2)
@@ -85,12 +85,12 @@ def _types(vehicles: VehicleClass, rng: np.random.Generator) -> list[str]:
 
 def _counts(traffic: Traffic, flow: Flow, end: float) -> Iterator[tuple[float, float, int]]:
     """(begin, end, number of vehicles) of each demand interval."""
-    begin, owed = 0.0, 0.0
+    begin, due = 0.0, 0.0
     for k in range(int(np.ceil(end / traffic.interval))):
         until = min(begin + traffic.interval, end)
-        owed += flow.per_hour[min(k, len(flow.per_hour) - 1)] * (until - begin) / 3600
-        yield begin, until, round(owed)
-        owed -= round(owed)
+        due += flow.per_hour[min(k, len(flow.per_hour) - 1)] * (until - begin) / 3600
+        yield begin, until, round(due)
+        due -= round(due)
         begin = until
 
 
@@ -119,7 +119,7 @@ def _departures(
 def arguments(scenario: Scenario, net: str, routes: str, signs: str, log: str) -> list[str]:
     """SUMO's command line for a scenario (without the program's name).
 
-    Collisions are reported, never acted on; nobody teleports; overtaking on the right is allowed as on US freeways.
+    SUMO only reports collisions and never teleports a vehicle. Overtaking on the right is allowed as on US freeways.
     """
     options = {
         "net-file": net,

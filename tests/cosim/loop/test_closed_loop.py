@@ -83,14 +83,14 @@ def test_both_sides_share_their_past_exactly(outcome):
 
 def test_left_to_sumo_is_a_null_run(outcome, short_scenario, simulate):
     assert outcome.collisions == outcome.teleports == 0
-    nobody = simulate(short_scenario, None, "sumo")
-    assert nobody.collisions == nobody.teleports == 0
-    same = min(len(nobody.episodes), len(outcome.left_to_sumo))
+    null_run = simulate(short_scenario, None, "sumo")
+    assert null_run.collisions == null_run.teleports == 0
+    same = min(len(null_run.episodes), len(outcome.left_to_sumo))
     assert same >= short_scenario.episodes
-    for a, b in zip(nobody.episodes[:same], outcome.left_to_sumo[:same], strict=True):
+    for a, b in zip(null_run.episodes[:same], outcome.left_to_sumo[:same], strict=True):
         assert a.group == b.group
         np.testing.assert_array_equal(a.state, b.state)
-    assert not any(episode.driven.any() for episode in nobody.episodes)
+    assert not any(episode.driven.any() for episode in null_run.episodes)
 
 
 def test_same_seed_same_tables_other_seed_other_tables(outcome, short_scenario, simulate):

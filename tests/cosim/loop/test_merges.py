@@ -83,7 +83,7 @@ def test_forked_and_replayed_merges_are_the_same(simulate):
         assert first.equals(second)
 
 
-def test_who_is_not_driven_stays_sumos(simulate):
+def test_sumo_drives_the_roles_that_the_policy_does_not(simulate):
     scenario = short("us101", episodes=1, driven=(0,))
     episode = simulate(scenario, DRIVER).episodes[0]
     assert episode.driven[:, 0].any()

@@ -71,7 +71,7 @@ def test_everything_up_to_the_take_over_is_the_same(scenario, simulate):
 
 
 def test_a_displaced_vehicle_starts_where_it_was_put(scenario, simulate):
-    """s' = s_1 − (1 − δ)(s_1 − s_0), one step of the dynamics later; nobody else moves otherwise than before."""
+    """s' = s_1 − (1 − δ)(s_1 − s_0), one step of the dynamics later; no other vehicle moves differently."""
     outcome = simulate(under(scenario, headway_ratio=0.3, speed_offset=-1.0), ConstantVelocity(0.2))
     assert outcome.episodes
     for episode in outcome.episodes:
@@ -106,7 +106,7 @@ def test_infeasible_starts_are_counted(scenario, simulate):
     assert {reason for _, reason in outcome.excluded} <= {Infeasible.ORDER, Infeasible.OVERLAP}
 
 
-def test_the_leader_brakes_as_told_and_is_sumos_again(scenario, simulate):
+def test_the_leader_brakes_as_planned_and_is_handed_back(scenario, simulate):
     outcome = simulate(under(scenario, leader_braking=3.0), IDM)
     for episode in outcome.episodes:
         k = at_start(episode)
@@ -126,7 +126,7 @@ def test_a_removed_vehicle_is_gone_and_its_phantom_drives_on(scenario, simulate)
         assert (v[k + 1 :] == v[k]).all()
         assert episode.ending is Ending.HORIZON
     gains = [np.ptp(episode.feature("v")[episode.during_drive][[0, -1], 1]) for episode in outcome.episodes]
-    assert max(gains) > 0.5  # vehicle 1 has nobody to follow now
+    assert max(gains) > 0.5  # vehicle 1 has no leader now
 
 
 def test_without_the_third_vehicle_the_graph_has_no_edge_to_it(scenario, simulate):
@@ -140,7 +140,7 @@ def test_without_the_third_vehicle_the_graph_has_no_edge_to_it(scenario, simulat
         assert not [pair for pair in edges if 2 in pair]
 
 
-def test_who_cuts_in_becomes_the_leader(scenario, simulate):
+def test_a_vehicle_that_cuts_in_becomes_the_leader(scenario, simulate):
     outcome = simulate(under(msgspec.structs.replace(scenario, time_limit=240.0), neighbour_cut_in=1.0), IDM)
     assert outcome.episodes
     assert {reason for _, reason in outcome.excluded} <= {Infeasible.NO_NEIGHBOUR, Infeasible.UNAVOIDABLE}
@@ -157,7 +157,7 @@ def test_who_cuts_in_becomes_the_leader(scenario, simulate):
     assert [e.ending for e in outcome.episodes].count(Ending.HORIZON) >= 1
 
 
-def test_nobody_cuts_in_for_two_groups_or_out_of_one():
+def test_no_vehicle_cuts_in_for_two_groups_or_out_of_one():
     """Two groups side by side: between them, each sees the other's vehicles in its gap, and only they fit."""
     now = snapshot(
         *(("a" + str(k), 100.0 + 30 * k, 0.0) for k in range(3)),
@@ -178,7 +178,7 @@ def test_nobody_cuts_in_for_two_groups_or_out_of_one():
 
 
 def snapshot(*vehicles: tuple[str, float, float]) -> Snapshot:
-    """Everybody at 10 m/s along the x axis."""
+    """All vehicles drive at 10 m/s along the x axis."""
     ids = tuple(name for name, _, _ in vehicles)
     s, d = (np.array([vehicle[k] for vehicle in vehicles]) for k in (1, 2))
     n = np.ones(len(ids))
@@ -192,7 +192,7 @@ def arguments(now: Snapshot, *groups: str):
     return scenario, now, Round(made, scenario.group, (0, 1), 40, 0, 0.2)
 
 
-def test_what_a_policy_cannot_see_it_cannot_heed(scenario, simulate):
+def test_a_policy_does_not_react_to_what_it_cannot_observe(scenario, simulate):
     """Under total drop-out the follower drives as if its leader still stood where it was at the take-over."""
     blind = simulate(under(scenario, dropout=1.0), IDM)
     seeing = simulate(scenario, IDM)

@@ -21,7 +21,7 @@ def setting(dynamics=POINT_MASS_1D, names=("a b c", "d e f"), seed=1, steps=400)
     return RoundSetting(dynamics, 0.2, steps, seed, names, (0, 1), past)
 
 
-def seen(spec, value=None, count=5, **options):
+def observed(spec, value=None, count=5, **options):
     """What comes out of the observation channel when the k-th state is filled with k."""
     chosen = setting(**options)
     made = sensing_and_control((spec,), chosen)
@@ -40,14 +40,14 @@ def test_other_perturbations_leave_the_channels_as_they_are():
 
 def test_latency_shows_the_past_and_what_was_before_the_take_over():
     """0.4 s are two steps: first come the states before the last one of the history (−2 and −1), then 0, 1, …"""
-    assert seen(Latency(intensity=0.4))[:, 0, 0, 0].tolist() == [-2, -1, 0, 1, 2]
-    assert seen(Latency(intensity=0.0))[:, 0, 0, 0].tolist() == [0, 1, 2, 3, 4]
-    assert seen(Latency(intensity=1.0))[:, 1, 2, 0].tolist() == [-3, -3, -3, -2, -1]
+    assert observed(Latency(intensity=0.4))[:, 0, 0, 0].tolist() == [-2, -1, 0, 1, 2]
+    assert observed(Latency(intensity=0.0))[:, 0, 0, 0].tolist() == [0, 1, 2, 3, 4]
+    assert observed(Latency(intensity=1.0))[:, 1, 2, 0].tolist() == [-3, -3, -3, -2, -1]
 
 
 @pytest.mark.parametrize("spec", [Latency(intensity=0.4), Dropout(intensity=1.0)], ids=lambda spec: spec.kind)
 def test_a_driver_knows_its_own_acceleration_and_yaw_rate_at_once(spec):
-    found = seen(spec, dynamics=DUBINS)
+    found = observed(spec, dynamics=DUBINS)
     now = torch.arange(5.0, dtype=torch.float64)
     for role in (0, 1):
         assert torch.equal(found[:, 0, role, [DUBINS.index("a"), DUBINS.index("yaw_rate")]], now[:, None].expand(5, 2))
@@ -62,22 +62,22 @@ def test_delayed_actions_begin_with_none():
 
 
 def test_dropout_holds_what_was_seen_last():
-    found = seen(Dropout(intensity=0.5), count=400)
+    found = observed(Dropout(intensity=0.5), count=400)
     step = found[1:] - found[:-1]
     current = torch.arange(400.0, dtype=torch.float64)[:, None, None] - found[..., 0]
     assert (found[0] == 0).all()
     assert (step >= 0).all()  # never older than what was shown before
     share = (current[1:] > 0).double().mean().item()
     assert share == pytest.approx(0.5, abs=0.04)
-    assert (found[..., 0] == found[..., 1]).all()  # place and speed are seen together or not at all
+    assert (found[..., 0] == found[..., 1]).all()  # position and speed are observed together or not at all
 
 
 def test_dropout_of_everything_shows_the_first_state_for_ever():
-    assert (seen(Dropout(intensity=1.0))[..., :2] == 0).all()
+    assert (observed(Dropout(intensity=1.0))[..., :2] == 0).all()
 
 
 def test_observation_noise_has_its_standard_deviations():
-    found = seen(ObservationNoise(intensity=2.0), value=0.0, count=400, dynamics=DUBINS)
+    found = observed(ObservationNoise(intensity=2.0), value=0.0, count=400, dynamics=DUBINS)
     expected = {"x": 2.0, "y": 0.4, "v": 1.0, "heading": 0.0, "a": 0.0, "yaw_rate": 0.0}
     for name, sigma in expected.items():
         assert found[..., DUBINS.index(name)].std().item() == pytest.approx(sigma, rel=0.06)
@@ -92,12 +92,12 @@ def test_action_noise_has_its_standard_deviations():
 
 
 def test_noise_belongs_to_the_group_and_the_seed_and_to_nothing_else():
-    """A group meets the same noise whoever is driven beside it."""
+    """A group meets the same noise whichever groups are driven with it."""
     spec = ObservationNoise(intensity=1.0)
-    both, alone = seen(spec), seen(spec, names=("d e f",))
+    both, alone = observed(spec), observed(spec, names=("d e f",))
     assert torch.equal(both[:, 1], alone[:, 0])
     assert not torch.equal(both[:, 0], both[:, 1])
-    assert not torch.equal(alone, seen(spec, names=("d e f",), seed=2))
+    assert not torch.equal(alone, observed(spec, names=("d e f",), seed=2))
 
 
 def test_low_friction_bounds_the_acceleration():
