@@ -4,25 +4,22 @@ Every round of groups is driven in a branch that shares its past with the trunk 
 same groups to SUMO. So each driven group has its own counterpart, and every policy gets the same groups.
 """
 
-from collections.abc import Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
-from contextlib import contextmanager
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
 
 from cosim.loop.driving import Driver, drive, start_round
-from cosim.loop.intervention import Intervention, NoIntervention
 from cosim.loop.perturbed_round import intervention_for
 from cosim.loop.round_recorder import Round
 from cosim.loop.trunk import Progress, Trunk
 from cosim.perturb.displaced_starts import Infeasible
-from cosim.process.fork import CAN_FORK, Branch, fork
+from cosim.process.fork import CAN_FORK, fork
 from cosim.spec.scenario import Scenario
-from cosim.traffic.running_simulation import RunningSimulation, simulation
+from cosim.traffic.running_simulation import simulation
 from cosim.traffic.simulation_input import SimulationInput, SumoFiles, prepare_simulation
 from cosim.world.episode import INTERRUPTED, Episode
 from cosim.world.groups import Group
-from cosim.world.snapshot import Snapshot
 
 
 @dataclass(frozen=True)
@@ -85,35 +82,17 @@ def run(
             if without_branches:
                 left += trunk.leave_to_sumo(history, this_round)
             elif forking:
-                branch = _fork_branch(running, history, intervention, driver)
+                start = start_round(running.frame, history, intervention, driver)
+                branch = fork(lambda: drive(running.world, running.frame, start))  # noqa: B023
                 left += trunk.leave_to_sumo(history, this_round)
                 driven += branch.result()
             else:
-                with _resimulated_branch(inputs, trunk.steps, this_round, driver) as branch:
+                with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+                    branch = pool.submit(_drive_from_start, inputs, trunk.steps, this_round, driver)
                     left += trunk.leave_to_sumo(history, this_round)
                     driven += branch.result()
         progress("episodes", min(count, scenario.episodes), scenario.episodes)
         return Outcome(tuple(counted), tuple(left), tuple(excluded), trunk.time, trunk.teleports, trunk.collisions)
-
-
-def _fork_branch(
-    running: RunningSimulation,
-    history: Sequence[Snapshot],
-    intervention: Intervention | NoIntervention,
-    driver: Driver | None,
-) -> Branch[list[Episode]]:
-    """Drive a round in a copy of this process."""
-    start = start_round(running.frame, history, intervention, driver)
-    return fork(lambda: drive(running.world, running.frame, start))
-
-
-@contextmanager
-def _resimulated_branch(
-    inputs: SimulationInput, steps: int, this_round: Round, driver: Driver | None
-) -> Iterator[Future[list[Episode]]]:
-    """Drive a round in a new process that simulates the past again."""
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-        yield pool.submit(_drive_from_start, inputs, steps, this_round, driver)
 
 
 def _drive_from_start(inputs: SimulationInput, steps: int, this_round: Round, driver: Driver | None) -> list[Episode]:

@@ -33,7 +33,9 @@ def simulation(inputs: SimulationInput) -> Iterator[RunningSimulation]:
     with sumo(inputs.arguments, inputs.files.log) as world:
         known = world.net.edges()
         if missing := [edge for edge in scenario.road.edges if edge not in known]:
-            raise InputError(f"road.edges: the net {inputs.files.net} has no edge {missing[0]!r}")
+            raise InputError(
+                f"road.edges: the net {inputs.files.net} has no edge {missing[0]!r}; name edges of this net"
+            )
         frame = world.net.road(scenario.road.edges, scenario.road.origin)
         recorded = None
         if isinstance(scenario.background, Replay):

@@ -1,5 +1,6 @@
 """Everything that SUMO is started with: one value, made once, before anything runs."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -55,23 +56,19 @@ def prepare_simulation(scenario: Scenario, files: SumoFiles, duration: float) ->
     Raises InputError where the recording to replay is missing or lacks a column.
     """
     tracks: tuple[RecordedTrack, ...] = ()
+    end_of_recording = math.inf
     if isinstance(scenario.background, Replay):
         tracks = read_tracks(scenario.background, scenario.step)
+        end_of_recording = max((track.last_step for track in tracks), default=0) * scenario.step
         scenario = replace(scenario, traffic=without_demand(scenario.traffic))
-    end = scenario.traffic.warm_up + duration
+    end_of_demand = scenario.traffic.warm_up + duration
     paths = (str(path) for path in (files.net, files.routes, files.signs, files.log))
     return SimulationInput(
         scenario=scenario,
         files=files,
-        route_text=route_file(perturbed_traffic(scenario).traffic, scenario.seed, end),
+        route_text=route_file(perturbed_traffic(scenario).traffic, scenario.seed, end_of_demand),
         sign_text=sign_file(scenario.traffic),
         arguments=tuple(arguments(scenario, *paths)),
         tracks=tracks,
-        end=_end_of_traffic(scenario, tracks, end),
+        end=min(end_of_demand, end_of_recording),
     )
-
-
-def _end_of_traffic(scenario: Scenario, tracks: tuple[RecordedTrack, ...], end: float) -> float:
-    if not isinstance(scenario.background, Replay):
-        return end
-    return min(end, max((track.last_step for track in tracks), default=0) * scenario.step)
