@@ -190,7 +190,9 @@ class TrajectoryBuffer:
         values[:, : len(READ_FROM_SUMO)] = np.array(read, dtype=float).T
         candidates = self._must_change | self._requested
         requests = find_requests(
-            self.world.drivers, driving, [driving.row_of[vehicle] for vehicle in candidates if vehicle in driving.row_of]
+            self.world.drivers,
+            driving,
+            [driving.row_of[vehicle] for vehicle in candidates if vehicle in driving.row_of],
         )
         self._requested = {driving.ids[row] for row in requests.requesters}
         for row, requester in requests.requesters.items():
