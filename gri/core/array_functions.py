@@ -1,7 +1,7 @@
-"""The few functions that a policy and its dynamics are made of, for torch and for numpy.
+"""The functions that a policy and its dynamics are made of, for torch and for numpy.
 
-Formulas are written once with these. Torch learns with them; numpy drives a few groups one step on, where calling
-torch costs several times what it computes.
+Formulas are written once with these functions. Torch is for training. Numpy drives a few groups one step on, where a
+call of torch takes several times as long as the computation in it.
 """
 
 from collections.abc import Callable
@@ -16,14 +16,13 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-class Arrays(NamedTuple):
-    """One library's functions, which take and return its arrays."""
+class ArrayFunctions(NamedTuple):
+    """The functions of one library, which take and return its arrays."""
 
     linear: Callable[..., Any]
-    """(x, weight [O, I], bias [O] or None) -> x·weightᵀ + bias."""
-    add_product: Callable[[Any, Any, Any], Any]
-    """(sum [R, O], x [R, I], weight [I, O]) -> sum + x·weight."""
+    """(x [..., I], weight [O, I], bias [O] or None) -> x·weightᵀ + bias."""
     silu: Callable[[Any], Any]
+    """x·σ(x), element by element."""
     join: Callable[[Any], Any]
     """Concatenate along the last axis."""
     cos: Callable[[Any], Any]
@@ -43,17 +42,15 @@ def _silu(x: np.ndarray) -> np.ndarray:
     return half + half * np.tanh(half)
 
 
-TORCH = Arrays(
+TORCH = ArrayFunctions(
     linear=torch.nn.functional.linear,
-    add_product=torch.addmm,
     silu=torch.nn.functional.silu,
     join=lambda x: torch.cat(x, -1),
     cos=torch.cos,
     sin=torch.sin,
 )
-NUMPY = Arrays(
+NUMPY = ArrayFunctions(
     linear=_linear,
-    add_product=lambda total, x, weight: total + x @ weight,
     silu=_silu,
     join=lambda x: np.concatenate(x, -1),
     cos=np.cos,
@@ -61,11 +58,14 @@ NUMPY = Arrays(
 )
 
 
-def arrays_of(value: Tensor | np.ndarray) -> Arrays:
-    """The functions for a value's library."""
+def functions_for(value: Tensor | np.ndarray) -> ArrayFunctions:
+    """The functions of the library that a value belongs to."""
     return NUMPY if isinstance(value, np.ndarray) else TORCH
 
 
-def kept(make: Callable[P, R]) -> Callable[P, R]:
-    """Keep the tensors that a function makes; they serve training also where a drive in inference mode asked first."""
+def cache_tensors(make: Callable[P, R]) -> Callable[P, R]:
+    """Cache the tensors that a function makes, one result per set of arguments.
+
+    The tensors are made outside torch's inference mode, so that training can use them as well.
+    """
     return cast(Callable[P, R], lru_cache(torch.inference_mode(False)(make)))

@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from gri.core.array_functions import arrays_of, kept
+from gri.core.array_functions import cache_tensors, functions_for
 
 State = Float[Tensor, "*batch D"]
 Action = Float[Tensor, "*batch A"]
@@ -64,7 +64,7 @@ def _like(state: Tensor | np.ndarray, matrix: Callable[[float, torch.dtype], Ten
     return matrix(dt, torch.float64).numpy() if isinstance(state, np.ndarray) else matrix(dt, state.dtype)
 
 
-@kept
+@cache_tensors
 def _point_mass_1d_matrix(dt: float, dtype: torch.dtype) -> Tensor:
     return torch.tensor([[1, dt, 0.5 * dt**2, 0], [0, 1, dt, 0], [0, 0, 1, dt]], dtype=dtype)
 
@@ -73,7 +73,7 @@ def _point_mass_1d_step(
     state: Float[Array, "*batch D"], action: Float[Array, "*batch A"], dt: float
 ) -> Float[Array, "*batch D"]:
     """x' = x + v·Δt + a·Δt²/2,  v' = v + a·Δt,  a' = a + δa·Δt  (Sec. VI-C)."""
-    arrays = arrays_of(state)
+    arrays = functions_for(state)
     return arrays.linear(arrays.join([state, action]), _like(state, _point_mass_1d_matrix, dt))
 
 
@@ -81,7 +81,7 @@ def _point_mass_1d_inverse(state: State, next_state: State, dt: float) -> Action
     return (next_state[..., 2:3] - state[..., 2:3]) / dt
 
 
-@kept
+@cache_tensors
 def _dubins_matrix(dt: float, dtype: torch.dtype) -> Tensor:
     """Rows x', y', v', θ', a', ω'; columns x, y, v, θ, a, ω, δa, δω, v·cosθ, v·sinθ."""
     matrix = torch.eye(6, 10, dtype=dtype)
@@ -99,7 +99,7 @@ def _dubins_step(
     θ' = θ + ω·Δt,       a' = a + δa·Δt,      ω' = ω + δω·Δt.
     """
     v, heading = state[..., 2:3], state[..., 3:4]
-    arrays = arrays_of(state)
+    arrays = functions_for(state)
     moved = arrays.join([state, action, v * arrays.cos(heading), v * arrays.sin(heading)])
     return arrays.linear(moved, _like(state, _dubins_matrix, dt))
 
@@ -113,7 +113,7 @@ def _point_mass_2d_step(
 ) -> Float[Array, "*batch 6"]:
     """Both axes move as the 1-D point mass does (Sec. VI-D: no heading in the recorded data)."""
     place, v, a = state[..., 0:2], state[..., 2:4], state[..., 4:6]
-    return arrays_of(state).join([place + v * dt + 0.5 * a * dt**2, v + a * dt, a + action * dt])
+    return functions_for(state).join([place + v * dt + 0.5 * a * dt**2, v + a * dt, a + action * dt])
 
 
 def stop_at_standstill(

@@ -27,7 +27,7 @@ def pairs(n: int) -> list[tuple[int, int]]:
     return [(i, j) for i in range(n) for j in range(n) if i != j]
 
 
-def agents_of(edges: int) -> int:
+def vehicle_count(edges: int) -> int:
     """N for a number of ordered pairs E = N(N−1)."""
     n = int((1 + (1 + 4 * edges) ** 0.5) / 2)
     assert n * (n - 1) == edges, f"{edges} is not N(N-1) for any N"

@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from gri.core.edges import FOLLOWING, LANE_CHANGING, YIELDING, EdgeType, Vocabulary, agents_of, pairs
+from gri.core.edges import FOLLOWING, LANE_CHANGING, YIELDING, EdgeType, Vocabulary, pairs, vehicle_count
 
 __all__ = [
     "FOLLOWING",
@@ -20,9 +20,9 @@ __all__ = [
     "EdgeType",
     "InteractionGraph",
     "Vocabulary",
-    "agents_of",
     "incoming",
     "pairs",
+    "vehicle_count",
 ]
 
 
@@ -82,7 +82,7 @@ class InteractionGraph:
         types, probs = self.map[scene].tolist(), self.probs[scene].tolist()
         return {
             pair: (self.vocabulary[k], p[k])
-            for pair, k, p in zip(pairs(agents_of(len(types))), types, probs, strict=True)
+            for pair, k, p in zip(pairs(vehicle_count(len(types))), types, probs, strict=True)
             if self.vocabulary[k] is not EdgeType.NONE
         }
 

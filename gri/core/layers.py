@@ -6,7 +6,7 @@ from itertools import pairwise
 import torch
 from torch import Tensor, nn
 
-from gri.core.array_functions import kept
+from gri.core.array_functions import cache_tensors
 from gri.core.graph import pairs
 
 
@@ -23,14 +23,14 @@ def mlp(sizes: Sequence[int], last_scale: float = 1.0) -> nn.Sequential:
     return nn.Sequential(*layers[:-1])
 
 
-@kept
+@cache_tensors
 def edge_ends(n: int) -> tuple[Tensor, Tensor]:
     """Senders and receivers of the E ordered pairs of n vehicles, in the order of the edge axis."""
     senders, receivers = zip(*pairs(n), strict=True)
     return torch.tensor(senders), torch.tensor(receivers)
 
 
-@kept
+@cache_tensors
 def incidence(n: int) -> Tensor:
     """Matrix [N, E] that sums messages over the edges that enter each vehicle."""
     return nn.functional.one_hot(edge_ends(n)[1], n).T.float()

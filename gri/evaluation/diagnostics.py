@@ -8,7 +8,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from gri.core.dynamics import Dynamics
-from gri.core.graph import EdgeType, InteractionGraph, agents_of, pairs
+from gri.core.graph import EdgeType, InteractionGraph, pairs, vehicle_count
 from gri.core.scenes import Scenes
 from gri.evaluation import metrics
 from gri.evaluation.evaluate import driving_graph
@@ -135,7 +135,7 @@ def optimal_change(
 def flipped(graph: Int[Tensor, "S E"], flip: Flip, kind: int) -> Int[Tensor, "S E"]:
     """The graphs in which the flip's edge has the type `kind` (an index into the vocabulary)."""
     types = graph.clone()
-    types[:, pairs(agents_of(graph.shape[1])).index((flip.sender, flip.receiver))] = kind
+    types[:, pairs(vehicle_count(graph.shape[1])).index((flip.sender, flip.receiver))] = kind
     return types
 
 

@@ -12,14 +12,14 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from gri.core.graph import agents_of, pairs
+from gri.core.graph import pairs, vehicle_count
 
 Types = Int[Tensor, "S E"]
 
 
 def edges_into_driven(types: Types) -> Int[Tensor, "S F"]:
     """The edges into driven vehicles. Scenes have no information on edges into the leader, the last vehicle."""
-    n = agents_of(types.shape[1])
+    n = vehicle_count(types.shape[1])
     return types[:, [edge for edge, (_, receiver) in enumerate(pairs(n)) if receiver < n - 1]]
 
 

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from gri.core.graph import agents_of, pairs
+from gri.core.graph import pairs, vehicle_count
 from gri.evaluation.graph_scores import edges_into_driven
 
 
@@ -73,7 +73,7 @@ def collision(state: Float[Tensor, "S N T D"], distance: float = 2.0) -> Bool[Te
 
 def edge_frequency(inferred: Int[Tensor, "S E"], types: int) -> Float[Tensor, "K N N"]:
     """Adjacency matrices as in the paper: A^k[receiver, sender] is the share of scenes with type k (Sec. VI-B)."""
-    n = agents_of(inferred.shape[1])
+    n = vehicle_count(inferred.shape[1])
     matrix = torch.zeros(types, n, n)
     for edge, (sender, receiver) in enumerate(pairs(n)):
         for k in range(types):

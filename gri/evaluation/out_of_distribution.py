@@ -21,6 +21,7 @@ from gri.core.dynamics import Dynamics, constant_speed
 from gri.core.graph import EdgeType, InteractionGraph, Vocabulary, pairs
 from gri.evaluation import metrics
 from gri.evaluation.metrics import Summary
+from gri.networks import fast_decoder
 from gri.networks.decoder import dense
 from gri.networks.model import RelationalModel, relative
 from gri.networks.rollout import rollout
@@ -128,7 +129,7 @@ def rollout_without_leader(
     model: RelationalModel, start: Float[Tensor, "B N D"], graph: Float[Tensor, "B E K"], steps: int
 ) -> Float[Tensor, "B N T D"]:
     """States of a roll-out of `steps` actions in which the policy drives all vehicles, also the last one."""
-    act, memory = model.decoder.bind(dense(graph)), model.memory(start)
+    act, memory = fast_decoder.bind(model.decoder, dense(graph)), model.memory(start)
     states = [start]
     for _ in range(steps):
         action, memory = act(relative(states[-1]), memory)

@@ -1,4 +1,6 @@
-"""The neural networks: the encoder infers a graph, the decoder drives under it, `model` joins both.
+"""The neural networks: the encoder infers the graph, and the decoder (the policy) drives under it.
 
-Begin with `model.RelationalModel`; `rollout` drives scenes with it.
+Begin with `model.RelationalModel`, which joins both. `rollout.rollout` drives scenes with a model, with gradients.
+`decoder` defines the policy; `fast_decoder` is the form of it that the program runs. Other rooms use `model`,
+`rollout`, `decoder.DecoderConfig` and `encoder.EncoderConfig`.
 """

@@ -1,10 +1,12 @@
-"""The encoder: which relation does each ordered pair of vehicles have, judged by how they moved (Appendix A).
+"""The encoder: the probability of each edge type of every ordered pair, from how the vehicles moved (Appendix A).
 
-    h¹_j = f_emb(x_j),  h¹_ij = f_e¹(h¹_i, h¹_j),  h²_j = f_v¹(Σ_{i≠j} h¹_ij),  q(z_ij | τ) = softmax
-    f_e²(h²_i, h²_j)
+    h¹_j = f_emb(x_j)
+    h¹_ij = f_e¹(h¹_i, h¹_j)
+    h²_j = f_v¹(Σ_{i≠j} h¹_ij)
+    q(z_ij | τ) = softmax f_e²(h²_i, h²_j)
 
-`f_emb` is a 1-D CNN with attentive pooling over time, the others are fully connected. All are shared by all
-vehicles, so that renumbering the vehicles renumbers the edges.
+`f_emb` is a 1-D CNN with attentive pooling over time. The other networks are fully connected. All vehicles share all
+networks, so that renumbering the vehicles renumbers the edges.
 """
 
 import msgspec
@@ -19,22 +21,24 @@ POSITION = 0  # the longitudinal position is the first state feature of all dyna
 
 
 class EncoderConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Size of the encoder and what it looks at."""
+    """Size of the encoder and its input features."""
 
     hidden: int = 64
+    """Units per hidden layer."""
     reads: tuple[int, ...] = (0, 1)
-    """Which state features it sees. Accelerations are left out by default: recorded and simulated ones jump.
+    """Indices of the state features it reads. Accelerations are left out by default: recorded ones are noisy, and
+    simulated ones jump.
     """
     kernel: int = 5
-    """Time steps under one filter of the convolutions."""
+    """Width of the convolutions [time steps]."""
     heads: int = 8
-    """Independent poolings over time, each with its own attention."""
+    """Number of attention heads that pool over time."""
     skip: bool = False
-    """Hand h¹_ij to f_e² as well, as the published NRI code does; the paper's equations do not."""
+    """f_e² also reads h¹_ij, as in the published NRI code; the paper's equations do not have this."""
 
 
 class Encoder(nn.Module):
-    """Posterior over edge types from the trajectories of N vehicles over any number of instants."""
+    """Logits of q(z_ij | τ) from the trajectories of N vehicles over any number of instants."""
 
     offset: Tensor
     unit: Tensor
@@ -51,6 +55,7 @@ class Encoder(nn.Module):
         self.edge_2 = mlp([(3 if config.skip else 2) * hidden, hidden, edge_types], last_scale=0.1)
 
     def forward(self, state: Float[Tensor, "B N T D"]) -> Float[Tensor, "B E K"]:
+        """Logits of the edge types, from states in SI units."""
         n = state.shape[1]
         senders, receivers = edge_ends(n)
         nodes = self.embedding(self._channels(state))
@@ -60,8 +65,9 @@ class Encoder(nn.Module):
         return self.edge_2(torch.cat([nodes[:, senders], nodes[:, receivers], *skipped], -1))
 
     def _channels(self, state: Float[Tensor, "B N T D"]) -> Float[Tensor, "B N T C"]:
-        """Scaled features, the position relative to the vehicles' mean of that instant, and the time before
-        the last.
+        """Scaled features and the time before the last instant.
+
+        The position is relative to the mean position of all vehicles at that instant.
         """
         centre = torch.zeros_like(state[:, :1])
         centre[..., POSITION] = state[..., POSITION].mean(1, keepdim=True)
@@ -72,7 +78,7 @@ class Encoder(nn.Module):
 
 
 class TemporalEmbedding(nn.Module):
-    """1-D CNN over time with attentive pooling: one vector per vehicle from a series of any length."""
+    """f_emb: a 1-D CNN with attentive pooling over time; one vector per vehicle from a series of any length."""
 
     def __init__(self, channels: int, hidden: int, kernel: int, heads: int) -> None:
         super().__init__()
@@ -88,6 +94,7 @@ class TemporalEmbedding(nn.Module):
         self.attention = nn.Conv1d(hidden, heads, 1)
 
     def forward(self, series: Float[Tensor, "B N T C"]) -> Float[Tensor, "B N H"]:
+        """h¹_j of every vehicle."""
         b, n, t, c = series.shape
         features = self.convolutions(series.reshape(b * n, t, c).transpose(1, 2))  # Shape: (B·N, H, T)
         attention = self.attention(features).softmax(-1)  # Shape: (B·N, heads, T)

@@ -16,12 +16,13 @@ from gri.core.graph import FOLLOWING, EdgeType, InteractionGraph
 from gri.core.policy import PolicyState
 from gri.core.scale import CAR_FOLLOWING_PAPER, Scale
 from gri.core.trajectory import Trajectory
-from gri.networks.decoder import Act, Decoder, DecoderConfig, dense
+from gri.networks import fast_decoder
+from gri.networks.decoder import Decoder, DecoderConfig, dense
 from gri.networks.encoder import Encoder, EncoderConfig
 
 
 class Edge(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """`sender` affects `receiver` in the way `type` says: vehicle 0 follows vehicle 1 is 1 → 0."""
+    """An edge of a true graph: the receiver reacts to the sender. "Vehicle 0 follows vehicle 1" is the edge 1 → 0."""
 
     sender: int
     receiver: int
@@ -32,53 +33,55 @@ CHAIN = (
     Edge(sender=1, receiver=0, type=EdgeType.FOLLOW),
     Edge(sender=2, receiver=1, type=EdgeType.FOLLOW),
 )
-
-
+"""Car following (Sec. VI-C): 0 follows 1, and 1 follows 2."""
 MERGE = (
     Edge(sender=2, receiver=0, type=EdgeType.FOLLOW),
     Edge(sender=1, receiver=0, type=EdgeType.CUT_IN),
     Edge(sender=0, receiver=1, type=EdgeType.YIELD),
 )
-
-
+"""Synthetic lane changing (Sec. VI-C): 0 follows the leader 2 and cuts in front of 1, which yields to 0."""
 MERGE_BEHIND = (
     Edge(sender=1, receiver=0, type=EdgeType.YIELD),
     Edge(sender=2, receiver=1, type=EdgeType.FOLLOW),
 )
-"""Recorded lane changes, the reading H1: 0 merges behind 1."""
+"""Recorded lane changes (Sec. VI-D), reading H1 of the paper: 0 merges behind 1."""
 MERGE_BETWEEN = (
     Edge(sender=2, receiver=0, type=EdgeType.YIELD),
     Edge(sender=0, receiver=1, type=EdgeType.YIELD),
     Edge(sender=2, receiver=1, type=EdgeType.FOLLOW),
 )
-"""Recorded lane changes, the reading H2: 0 merges between 1 and 2."""
+"""Recorded lane changes (Sec. VI-D), reading H2 of the paper: 0 merges between 1 and 2."""
 
 
 class ModelConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """All there is to know to rebuild a model from its tensors."""
+    """Everything that is needed to rebuild a model from its tensors."""
 
     dynamics: DynamicsName = DynamicsName.POINT_MASS_1D
     vocabulary: tuple[EdgeType, ...] = FOLLOWING
     dt: float = 0.2
+    """Time between two states [s]."""
     history_steps: int = 20
-    """States the encoder is shown before it decides on the graph."""
+    """Number of states from which the encoder infers the graph."""
     never_reverse: bool = False
-    """Roll-outs stop at v = 0, where the dynamics say how."""
+    """Vehicles stop at v = 0 in roll-outs, by the `stop` of the dynamics."""
     scale: Scale = CAR_FOLLOWING_PAPER
     decoder: DecoderConfig = DecoderConfig()
     encoder: EncoderConfig | None = EncoderConfig()
-    """Without an encoder the model believes in `graph`, whatever it sees."""
+    """None: the model always uses `graph`."""
     graph: tuple[Edge, ...] = CHAIN
+    """The graph of a model without an encoder."""
     told_graph: bool = True
-    """Without an encoder, evaluation tells the model each scene's true graph (Supervised); else it keeps `graph`."""
+    """For a model without an encoder: evaluation gives it the true graph of each scene (Supervised). False: it keeps
+    `graph`.
+    """
 
 
 Drive = Callable[[Tensor, PolicyState], tuple[Tensor, PolicyState]]
-"""(state, memory) -> (mean action, memory)."""
+"""(state [B, N, D], memory) -> (mean action [B, N, A], memory)."""
 
 
 class RelationalModel(nn.Module):
-    """A `Policy` that acts by the graph in its `PolicyState`; replace that graph to overrule the inferred one."""
+    """A `Policy` that drives under the graph in its `PolicyState`. Replace that graph to overrule the inferred one."""
 
     def __init__(self, config: ModelConfig) -> None:
         super().__init__()
@@ -86,22 +89,25 @@ class RelationalModel(nn.Module):
         types = len(config.vocabulary)
         self.decoder = Decoder(config.decoder, config.scale, types)
         self.encoder = Encoder(config.encoder, config.scale, types, config.dt) if config.encoder else None
-        self._bound: tuple[InteractionGraph, Drive] | None = None  # the graph `act` last went by, and how
+        self._bound: tuple[InteractionGraph, Drive] | None = None  # the graph of the last `act`, and its driver
 
     @property
     def dynamics(self) -> Dynamics:
+        """Layout and units of states and actions."""
         return dynamics_named(self.config.dynamics)
 
     @property
     def dt(self) -> float:
+        """Time between two actions [s]."""
         return self.config.dt
 
     @property
     def history_steps(self) -> int:
+        """Number of states from which the encoder infers the graph."""
         return self.config.history_steps
 
     def infer(self, state: Float[Tensor, "B N T D"]) -> InteractionGraph:
-        """The graph the model believes in after it has seen these states."""
+        """The graph that the encoder infers from these states; without an encoder, the graph of the configuration."""
         if self.encoder is not None:
             return InteractionGraph(self.encoder(state), self.config.vocabulary)
         edges = {(edge.sender, edge.receiver): edge.type for edge in self.config.graph}
@@ -109,19 +115,22 @@ class RelationalModel(nn.Module):
 
     @torch.no_grad()
     def begin(self, history: Trajectory) -> PolicyState:
-        """Infer the graph from the last `history_steps` states; complete trajectories only."""
+        """Infer the graph from the last `history_steps` states.
+
+        Raises `ValueError` if a state is missing (`valid` is False) or if the history has another sampling time.
+        """
         missing = int((~history.valid).sum())
         if missing:
             raise ValueError(
-                f"got a history with {missing} missing states, wanted all N x T to exist; "
-                "leave out groups in which a vehicle was not seen"
+                f"got a history with {missing} missing states, wanted all N x T states; "
+                "leave out groups in which a vehicle is missing at some instant"
             )
         if abs(history.dt - self.dt) > 1e-6:
             raise ValueError(f"got a history sampled every {history.dt} s, the model wants {self.dt} s; resample it")
         return PolicyState(self.infer(history.state[:, :, -self.history_steps :]), self.memory(history.initial))
 
     def memory(self, state: Float[Tensor, "B N D"]) -> Float[Tensor, "B N H"]:
-        """The empty memory a roll-out starts with."""
+        """The hidden state at the start of a roll-out: zeros."""
         return state.new_zeros(*state.shape[:2], self.decoder.memory_size)
 
     def act(self, memory: PolicyState, state: Float[Tensor, "B N D"]) -> tuple[Float[Tensor, "B N A"], PolicyState]:
@@ -133,34 +142,35 @@ class RelationalModel(nn.Module):
 
     @torch.no_grad()
     def _bind(self, graph: InteractionGraph) -> Drive:
-        """How to act by a graph: in numpy, where that is possible."""
+        """How to drive under a graph: in numpy for the feed-forward decoder, else in torch."""
         edges = dense(graph.one_hot)
-        lean = self.decoder.bind_numpy(edges)
-        if lean is None:
-            return self._by_torch(self.decoder.bind(edges))
+        by_numpy = fast_decoder.bind_numpy(self.decoder, edges)
+        if by_numpy is None:
+            by_torch = fast_decoder.bind(self.decoder, edges)
 
-        def act(state: Tensor, memory: PolicyState) -> tuple[Tensor, PolicyState]:
-            counted = state.detach().numpy().copy()
-            counted[..., 0] -= counted[:, -1:, 0]  # as `relative`
-            return torch.from_numpy(lean(counted)), memory
+            @torch.no_grad()
+            def act(state: Tensor, memory: PolicyState) -> tuple[Tensor, PolicyState]:
+                action, hidden = by_torch(relative(state), memory.memory)
+                return action, PolicyState(memory.graph, hidden)
+        else:
 
-        return act
-
-    def _by_torch(self, bound: Act) -> Drive:
-        @torch.no_grad()
-        def act(state: Tensor, memory: PolicyState) -> tuple[Tensor, PolicyState]:
-            action, recurrent = bound(relative(state), memory.memory)
-            return action, PolicyState(memory.graph, recurrent)
+            def act(state: Tensor, memory: PolicyState) -> tuple[Tensor, PolicyState]:
+                shifted = state.detach().numpy().copy()
+                shifted[..., 0] -= shifted[:, -1:, 0]  # as `relative`
+                return torch.from_numpy(by_numpy(shifted)), memory
 
         return act
 
     def step(self, state: Float[Tensor, "*batch D"], action: Float[Tensor, "*batch A"]) -> Float[Tensor, "*batch D"]:
-        """The next state under the model's dynamics."""
+        """The next state under the model's dynamics, with the stop at v = 0 if `never_reverse` is set."""
         moved = self.dynamics.step(state, action, self.dt)
         stop = self.dynamics.stop if self.config.never_reverse else None
         return moved if stop is None else stop(state, moved)
 
 
 def relative(state: Float[Tensor, "B N D"]) -> Float[Tensor, "B N D"]:
-    """Positions counted from the last vehicle: the decoder needs differences only, and float32 keeps its digits."""
+    """States with positions relative to the last vehicle.
+
+    The decoder needs differences only, and small positions keep the digits of float32.
+    """
     return torch.cat([state[..., :1] - state[:, -1:, :1], state[..., 1:]], -1)

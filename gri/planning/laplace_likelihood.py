@@ -26,7 +26,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.func import jacrev, vmap
 
-from gri.core.graph import EdgeType, agents_of, pairs
+from gri.core.graph import EdgeType, pairs, vehicle_count
 from gri.core.layers import edge_ends
 from gri.networks.model import RelationalModel
 from gri.rewards.structured import StructuredReward
@@ -177,7 +177,7 @@ def combination_prior(reward: StructuredReward, prior: Float[Tensor, "B E K"], d
 
     Types less probable than `LEAST` are ruled out: over a scene, likelihoods differ by hundreds of nats.
     """
-    n = agents_of(prior.shape[1])
+    n = vehicle_count(prior.shape[1])
     incoming = torch.tensor([[pairs(n).index((i, j)) for i in range(n) if i != j] for j in range(driven)])
     logs = torch.where(prior < LEAST, NEVER, prior.log())
     return torch.einsum("brsk,csk->brc", logs[:, incoming], combinations(reward, n - 1)[1])
@@ -202,7 +202,7 @@ def marginals(
 
     Edges into vehicles that are not driven keep the prior.
     """
-    driven, n = likelihood.shape[1], agents_of(prior.shape[1])
+    driven, n = likelihood.shape[1], vehicle_count(prior.shape[1])
     scores = likelihood + combination_prior(reward, prior, driven)
     marginal = torch.einsum("brc,csk->brsk", scores.softmax(-1), combinations(reward, n - 1)[1])
     posterior = prior.clone()

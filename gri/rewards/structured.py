@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from gri.core.graph import EdgeType, agents_of
+from gri.core.graph import EdgeType, vehicle_count
 from gri.core.layers import edge_ends, incidence, mlp
 from gri.core.scale import Scale
 from gri.errors import InputError
@@ -106,7 +106,7 @@ class StructuredReward(nn.Module):
         """r_j of every vehicle and step; linear in the graph. Not cooperative: no gradient to the vehicle
         ahead.
         """
-        senders, receivers = edge_ends(agents_of(graph.shape[1]))
+        senders, receivers = edge_ends(vehicle_count(graph.shape[1]))
         sent = state[:, senders] if cooperative else state[:, senders].detach()
         edges = (self.of_edges(sent, state[:, receivers]) * graph[:, :, None]).sum(-1)  # Shape: (B, E, T)
         return self.of_vehicles(state, action) + incidence(state.shape[1]) @ edges

@@ -149,7 +149,7 @@ def mean_return(
 
     `leader` [B, T, D] is the leader's trajectory. No gradient flows from a vehicle's reward to other vehicles.
     """
-    driven = rollout(model, start, graph, leader, selfish=True)
+    driven = rollout(model, start, graph, leader, detach_senders=True)
     return returns(reward, driven.state, driven.action, graph).mean()
 
 

@@ -21,7 +21,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn.functional import softplus
 
-from gri.core.graph import InteractionGraph, agents_of, pairs
+from gri.core.graph import InteractionGraph, pairs, vehicle_count
 from gri.core.scenes import Scenes
 from gri.networks.model import RelationalModel
 from gri.networks.rollout import log_prob_of, rollout
@@ -217,7 +217,7 @@ def encoder_gradient(
 ) -> Float[Tensor, "B E K"]:
     """∂J/∂z for the edges into driven vehicles; 0 for the others."""
     expert, generated = reward.edges(batch.state), reward.edges(discriminated.rollout.state)
-    n, driven = agents_of(expert.shape[1]), discriminated.expert.shape[1]
+    n, driven = vehicle_count(expert.shape[1]), discriminated.expert.shape[1]
     receivers = torch.tensor([j for _, j in pairs(n)])
     counted = (receivers < driven).float()[:, None]
     receivers = receivers.clamp(max=driven - 1)

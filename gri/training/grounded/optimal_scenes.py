@@ -96,6 +96,6 @@ def distance_to_optima(model: RelationalModel, optima: Scenes, scale: float) -> 
     because under contradictory graphs no policy can reach the optimum.
     """
     graph = optima.one_hot(len(model.config.vocabulary))
-    driven = rollout(model, optima.start, graph, optima.leader, selfish=True)
+    driven = rollout(model, optima.start, graph, optima.leader, detach_senders=True)
     error = squared_error(driven.state, optima.state, model.dynamics).mean((1, 2))
     return scale**2 * ((1 + 2 * error / scale**2).sqrt() - 1).mean()

@@ -4,7 +4,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from gri.core.graph import agents_of, pairs
+from gri.core.graph import pairs, vehicle_count
 from gri.core.scenes import Scenes
 from gri.networks.model import RelationalModel
 from gri.networks.rollout import mean_actions
@@ -44,5 +44,5 @@ def _deviations(model: RelationalModel, reward: StructuredReward, scenes: Scenes
 
 def incoming_graph(types: Float[Tensor, "S K"], n: int) -> Float[Tensor, "1 E K"]:
     """The graph of n vehicles in which the edges into each vehicle, in the order of senders, have these types."""
-    assert types.shape[0] == n - 1 == agents_of(n * (n - 1)) - 1
+    assert types.shape[0] == n - 1 == vehicle_count(n * (n - 1)) - 1
     return torch.stack([types[i if i < j else i - 1] for i, j in pairs(n)])[None]

@@ -166,7 +166,7 @@ def off_data_return(
     No gradient flows from a vehicle's reward to other vehicles.
     """
     start, leader, graph = off_data_batch(model, scenes, settings, count, generator)
-    driven = rollout(model, start, graph, leader, selfish=True)
+    driven = rollout(model, start, graph, leader, detach_senders=True)
     return returns(reward, driven.state, driven.action, graph).mean()
 
 

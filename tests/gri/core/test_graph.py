@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from gri.core.graph import FOLLOWING, LANE_CHANGING, EdgeType, InteractionGraph, agents_of, pairs
+from gri.core.graph import FOLLOWING, LANE_CHANGING, EdgeType, InteractionGraph, pairs, vehicle_count
 
 
 def test_edges_stand_in_lexicographic_order():
@@ -10,7 +10,7 @@ def test_edges_stand_in_lexicographic_order():
 
 @pytest.mark.parametrize("n", [2, 3, 4, 7])
 def test_agents_of_inverts_the_number_of_pairs(n: int):
-    assert agents_of(len(pairs(n))) == n
+    assert vehicle_count(len(pairs(n))) == n
 
 
 def test_named_edges_reach_their_place():

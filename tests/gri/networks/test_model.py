@@ -7,6 +7,7 @@ import torch
 from gri.core.graph import FOLLOWING, EdgeType, InteractionGraph
 from gri.core.policy import Policy, PolicyState
 from gri.core.trajectory import Trajectory
+from gri.networks import fast_decoder
 from gri.networks.decoder import DecoderConfig, dense
 from gri.networks.model import ModelConfig, RelationalModel, relative
 
@@ -107,7 +108,7 @@ def test_it_drives_by_its_decoder(kind: Literal["feed_forward", "recurrent"], ge
     seen = history(generator)
     action, memory = drive(model, seen)
     assert memory.graph is not None
-    act = model.decoder.bind(dense(memory.graph.one_hot))
+    act = fast_decoder.bind(model.decoder, dense(memory.graph.one_hot))
     expected, recurrent = act(relative(seen.final), model.memory(seen.final))
     torch.testing.assert_close(action, expected, rtol=1e-5, atol=1e-6)
     torch.testing.assert_close(memory.memory, recurrent)
