@@ -14,7 +14,8 @@ import torch
 
 from gri.core.scenes import Scenes
 from gri.data.mixture import mix_scenes
-from gri.data.ranges.car_following import RANGES, GraphShare
+from gri.data.ranges.car_following import RANGES
+from gri.data.ranges.graph_shares import GraphShare
 from gri.data.ranges.highway_merge import HIGHWAY_MERGE, HighwayMergeRange
 from gri.data.ranges.lane_changing import LANE_CHANGING_SCENES
 from gri.data.ranges.recorded import RECORDED, SUMO_CAR_FOLLOWING, SUMO_MERGE, RecordedRange

@@ -1,12 +1,17 @@
-"""The two ranges of car-following scenes: the paper's, and congested traffic on US-101 as SUMO drives it."""
+"""The two ranges of car-following scenes: `PAPER` (Sec. VI-C), and `US101`, congested traffic as SUMO drives it.
+
+Three vehicles drive in a row: 0 follows 1, and 1 follows the leader 2, unless the graph says otherwise. Headways are
+from front to front.
+"""
 
 import msgspec
 
 from gri.core.dynamics import DynamicsName
-from gri.core.graph import FOLLOWING, EdgeType, Vocabulary
+from gri.core.graph import FOLLOWING, Vocabulary
 from gri.core.scale import CAR_FOLLOWING_PAPER, CAR_FOLLOWING_US101, Scale
+from gri.data.ranges.graph_shares import GraphShare, follow_edges
 from gri.data.ranges.leader import LeaderConfig
-from gri.networks.model import CHAIN, Edge
+from gri.networks.model import CHAIN
 from gri.rewards.car_following_features import FollowingConstants
 from gri.rewards.structured import RewardConfig, Units
 
@@ -14,28 +19,25 @@ from gri.rewards.structured import RewardConfig, Units
 class Starts(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Distribution of initial states; every pair of numbers is a uniform range."""
 
-    headway: tuple[float, float]  # [m], front to front
-    speed: tuple[float, float]  # [m/s]
+    headway: tuple[float, float]
+    """Headway of each follower [m]."""
+    speed: tuple[float, float]
+    """[m/s]."""
     speed_difference: float | None = None
-    """Followers differ from the vehicle ahead by up to this [m/s]; None: every speed is drawn by itself."""
-    acceleration: tuple[float, float] = (0.0, 0.0)  # [m/s^2]
+    """Largest difference in speed between a follower and its leader [m/s]; None: every speed is drawn from `speed`."""
+    acceleration: tuple[float, float] = (0.0, 0.0)
+    """Accelerations of the followers [m/s²]."""
     settled: float = 0.0
-    """Share of the scenes with a headway of (s0 + T_h·v)·(1 ± spread) instead."""
+    """Share of the scenes in which headways are (s0 + T_h·v)·(1 ± `spread`) instead, cut to the range of `headway`."""
     spread: float = 0.4
 
 
-class GraphShare(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A true graph and how often it occurs."""
-
-    share: float
-    edges: tuple[Edge, ...]
-
-
 class SceneRange(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """All that a family of scenes has in common."""
+    """What the scenes of a range of car following have in common."""
 
     name: str
     steps: int
+    """T, the number of states of a scene."""
     starts: Starts
     leader: LeaderConfig
     reward: RewardConfig
@@ -63,17 +65,13 @@ class SceneRange(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
         return MIXED_GRAPHS
 
 
-def _follow(*pairs: tuple[int, int]) -> tuple[Edge, ...]:
-    return tuple(Edge(sender=i, receiver=j, type=EdgeType.FOLLOW) for i, j in pairs)
-
-
 ONE_GRAPH = (GraphShare(share=1.0, edges=CHAIN),)
 MIXED_GRAPHS = (
     GraphShare(share=0.5, edges=CHAIN),
-    GraphShare(share=0.1, edges=_follow((2, 0), (2, 1))),
-    GraphShare(share=0.1, edges=_follow((2, 1))),
-    GraphShare(share=0.1, edges=_follow((1, 0))),
-    GraphShare(share=0.1, edges=_follow((2, 0))),
+    GraphShare(share=0.1, edges=follow_edges((2, 0), (2, 1))),
+    GraphShare(share=0.1, edges=follow_edges((2, 1))),
+    GraphShare(share=0.1, edges=follow_edges((1, 0))),
+    GraphShare(share=0.1, edges=follow_edges((2, 0))),
     GraphShare(share=0.1, edges=()),
 )
 
@@ -82,8 +80,8 @@ PAPER = SceneRange(
     steps=20,
     starts=Starts(headway=(4.0, 8.0), speed=(4.0, 6.0)),
     leader=LeaderConfig(),
-    # Constants and weights by which the reward itself asks for what Sec. VI-E tests: from 8 m ahead of the vehicle it
-    # is to follow, the optimum is 2 m behind it within 4 s (docs/decisions/009-car-following-constants.md).
+    # Constants and weights under which the optimum does what Sec. VI-E tests: a follower that starts 8 m ahead of its
+    # leader is 2 m behind it within 4 s (docs/decisions/009-car-following-constants.md).
     reward=RewardConfig(
         constants=FollowingConstants(
             standstill=2.0, time_headway=0.8, comfort=2.45, minimum=2.0, zeta=2.0, speed_limit=6.0

@@ -1,24 +1,31 @@
-"""The kinds of recorded scenes, in traffic and in SUMO, and what their models are built from (Sec. VI-C, VI-D)."""
+"""The ranges of recorded scenes: NGSIM traffic (Sec. VI-D) and traffic in SUMO (reward of Sec. VI-C).
+
+Scenes of these ranges are read from scene files. A range says which kinds of scenes belong to it, and with which
+reward, dynamics and edge types models are trained on them.
+"""
 
 import msgspec
 
 from gri.core.dynamics import DynamicsName
 from gri.core.graph import FOLLOWING, LANE_CHANGING, YIELDING, Vocabulary
 from gri.core.scale import CAR_FOLLOWING_NGSIM, LANE_CHANGING_NGSIM, Scale
-from gri.data.ranges.car_following import ONE_GRAPH, US101, GraphShare
-from gri.data.ranges.highway_merge import HIGHWAY_MERGE, LENGTH
+from gri.data.ranges.car_following import ONE_GRAPH, US101
+from gri.data.ranges.graph_shares import GraphShare
+from gri.data.ranges.highway_merge import HIGHWAY_MERGE
+from gri.data.ranges.merge_geometry import VEHICLE_LENGTH
 from gri.networks.model import MERGE, MERGE_BEHIND, MERGE_BETWEEN
 from gri.rewards.recorded_traffic_features import References
 from gri.rewards.terms import AnyRewardConfig, NaturalisticConfig
 
 
 class RecordedRange(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """All that scenes of one kind, recorded in traffic or in SUMO, have in common."""
+    """What the scenes of one recorded range have in common."""
 
     name: str
     kinds: tuple[str, ...]
-    """In the scene file."""
+    """Values of `kind` in the scene file."""
     steps: int
+    """T, the number of states of a scene."""
     reward: AnyRewardConfig
     scale: Scale
     dynamics: DynamicsName
@@ -26,24 +33,24 @@ class RecordedRange(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     dt: float = 0.2
     never_reverse: bool = False
     length: float | None = None
-    """Of every vehicle ahead as models of SUMO's traffic count it [m]; None: as it is."""
+    """Length that the models assume for every vehicle [m], as in SUMO; None: the recorded lengths."""
     seen: int | None = None
-    """Steps from which the encoder infers; None: the whole scene, as in the paper."""
+    """Number of states from which the encoder infers the graph; None: the whole scene, as in the paper."""
     one_graph: tuple[GraphShare, ...] = ONE_GRAPH
 
     @property
     def lanes(self) -> bool:
-        """Whether vehicles change lanes."""
+        """Whether the vehicles of this range change lanes."""
         return self.dynamics is not DynamicsName.POINT_MASS_1D
 
     @property
     def history_steps(self) -> int:
-        """From how many steps the encoder infers the graph."""
+        """Number of states from which the encoder infers the graph."""
         return self.seen or self.steps
 
     @property
     def mixed_graphs(self) -> tuple[GraphShare, ...]:
-        """No labels but the file's."""
+        """The same as `one_graph`: the scene file has the labels."""
         return self.one_graph
 
 
@@ -77,7 +84,7 @@ SUMO_CAR_FOLLOWING = RecordedRange(
     dynamics=DynamicsName.POINT_MASS_1D,
     vocabulary=FOLLOWING,
     never_reverse=True,
-    length=LENGTH,
+    length=VEHICLE_LENGTH,
 )
 SUMO_MERGE = RecordedRange(
     name="sumo_merge",
@@ -88,8 +95,8 @@ SUMO_MERGE = RecordedRange(
     dynamics=DynamicsName.DUBINS,
     vocabulary=LANE_CHANGING,
     never_reverse=True,
-    length=LENGTH,
+    length=VEHICLE_LENGTH,
     one_graph=(GraphShare(share=1.0, edges=MERGE),),
 )
-"""The whole scene is seen: who cut in shows only after it has."""
+"""The encoder reads the whole scene: a cut-in shows only after it has happened."""
 RECORDED = {s.name: s for s in (NGSIM_CAR_FOLLOWING, NGSIM_LANE_CHANGING, SUMO_CAR_FOLLOWING, SUMO_MERGE)}

@@ -6,8 +6,10 @@ from torch import Tensor
 
 from gri.core.graph import FOLLOWING, InteractionGraph, Vocabulary
 from gri.core.scenes import Scenes
-from gri.data.ranges.car_following import GraphShare, SceneRange
-from gri.data.ranges.highway_merge import HighwayMergeRange, leader_drive, sample_takeovers
+from gri.data.ranges.car_following import SceneRange
+from gri.data.ranges.graph_shares import GraphShare
+from gri.data.ranges.highway_merge import HighwayMergeRange
+from gri.data.ranges.highway_states import sample_leader, sample_takeovers
 from gri.data.ranges.lane_changing import LaneChangingRange, sample_merge
 from gri.data.ranges.leader import leader_states, uniform
 from gri.data.ranges.recorded import RecordedRange
@@ -35,7 +37,7 @@ def sample_starts(
             return sample_merge(scenes, count, generator, steps)
         case HighwayMergeRange():
             start = sample_takeovers(scenes, scenes.one_graph[0].situation, count, generator)
-            leader = leader_drive(scenes, start[:, 2], generator)
+            leader = sample_leader(scenes, start[:, 2], generator)
             return torch.cat([start[:, :2], leader[:, :1]], 1), leader
 
 

@@ -14,15 +14,9 @@ from torch import Tensor
 from gri.core.dynamics import dynamics_named
 from gri.core.graph import InteractionGraph, incoming
 from gri.core.scenes import Scenes
-from gri.data.ranges.highway_merge import (
-    LENGTH,
-    HighwayMergeRange,
-    Situation,
-    SituationShare,
-    leader_drive,
-    sample_history,
-    sample_takeovers,
-)
+from gri.data.ranges.highway_merge import HighwayMergeRange, Situation, SituationShare
+from gri.data.ranges.highway_states import sample_history, sample_leader, sample_takeovers
+from gri.data.ranges.merge_geometry import VEHICLE_LENGTH
 from gri.data.synthetic.expert import true_reward
 from gri.planning.ilqr import Task, climb_by_steps
 from gri.progress import Progress, no_progress
@@ -66,7 +60,7 @@ def _scenes_with_graph(
     accepted: list[Scenes] = []
     while (missing := wanted - sum(len(part) for part in accepted)) > 0:
         start = sample_takeovers(scenes, share.situation, int(OVERSAMPLING * missing) + 8, generator)
-        leader = leader_drive(scenes, start[:, 2], generator)
+        leader = sample_leader(scenes, start[:, 2], generator)
         start = torch.cat([start[:, :2], leader[:, :1]], 1)
         history = sample_history(scenes, share.situation, start, generator)
         edges = {(edge.sender, edge.receiver): edge.type for edge in share.edges}
@@ -81,7 +75,7 @@ def _scenes_with_graph(
 def in_contact(state: Float[Tensor, "S N T D"]) -> Bool[Tensor, " S"]:
     """Whether vehicle 0 overlaps with the leader 2 or the lag vehicle 1 at any step."""
     distance = state[:, [2, 0]] - state[:, [0, 1]]
-    overlap = (distance[..., 0].abs() < LENGTH) & (distance[..., 1].abs() < CAR_WIDTH)
+    overlap = (distance[..., 0].abs() < VEHICLE_LENGTH) & (distance[..., 1].abs() < CAR_WIDTH)
     return overlap.any(-1).any(-1)
 
 

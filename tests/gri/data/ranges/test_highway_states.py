@@ -1,14 +1,9 @@
 import pytest
 import torch
 
-from gri.data.ranges.highway_merge import (
-    HIGHWAY_MERGE,
-    LENGTH,
-    Situation,
-    leader_drive,
-    sample_history,
-    sample_takeovers,
-)
+from gri.data.ranges.highway_merge import HIGHWAY_MERGE, Situation
+from gri.data.ranges.highway_states import sample_history, sample_leader, sample_takeovers
+from gri.data.ranges.merge_geometry import VEHICLE_LENGTH
 
 SCENES, DT = HIGHWAY_MERGE, 0.2
 
@@ -16,7 +11,7 @@ SCENES, DT = HIGHWAY_MERGE, 0.2
 @pytest.mark.parametrize("situation", Situation)
 def test_takeovers_are_what_their_name_says(situation: Situation, generator: torch.Generator):
     x, y, v, heading, a, yaw_rate = sample_takeovers(SCENES, situation, 500, generator).unbind(-1)
-    net_lag, net_lead = x[:, 0] - x[:, 1] - LENGTH, x[:, 2] - x[:, 0] - LENGTH
+    net_lag, net_lead = x[:, 0] - x[:, 1] - VEHICLE_LENGTH, x[:, 2] - x[:, 0] - VEHICLE_LENGTH
     match situation:
         case Situation.BETWEEN:
             assert min(net_lag.min(), net_lead.min()) >= 1.0 - 1e-4
@@ -24,7 +19,7 @@ def test_takeovers_are_what_their_name_says(situation: Situation, generator: tor
         case Situation.MERGED:
             assert min(net_lag.min(), net_lead.min()) > 0
         case Situation.BEHIND:
-            assert (x[:, 1] - x[:, 0] >= LENGTH + 1.0 - 1e-4).all()
+            assert (x[:, 1] - x[:, 0] >= VEHICLE_LENGTH + 1.0 - 1e-4).all()
         case Situation.PASSING:
             assert (net_lag < 0).any()
             assert (net_lead < 0).any()
@@ -52,7 +47,7 @@ def test_histories_lead_to_the_takeover_without_a_step_aside(situation: Situatio
 
 def test_the_leader_speeds_and_slows_within_its_limits(generator: torch.Generator):
     start = sample_takeovers(SCENES, Situation.BETWEEN, 300, generator)[:, 2]
-    drive = leader_drive(SCENES, start, generator)
+    drive = sample_leader(SCENES, start, generator)
     x, y, v, heading, a, _ = drive.unbind(-1)
     assert torch.equal(drive[:, 0, :4], start[:, :4])
     torch.testing.assert_close(x.diff(dim=1), v[:, :-1] * DT, atol=1e-3, rtol=1e-4)
