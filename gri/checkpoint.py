@@ -1,4 +1,9 @@
-"""Models as files: a plain dict of tensors and JSON text that can be read without running foreign code."""
+"""Models as files: a dict of tensors and JSON text, which is read without running code from the file.
+
+Functions that read take the path of a file or the name of a released checkpoint, such as "us101_merge". They raise
+`InputError` if there is no such file, if it is damaged, or if it does not fit this release
+(docs/decisions/004-checkpoints.md).
+"""
 
 import os
 import pickle
@@ -14,6 +19,7 @@ from torch import Tensor
 from gri.core.graph import FOLLOWING
 from gri.errors import InputError
 from gri.networks.model import ModelConfig, RelationalModel
+from gri.resources import find_checkpoint
 from gri.rewards.structured import LaneRewardConfig, NaturalisticConfig, RewardConfig, StructuredReward
 
 FORMAT = "gri-checkpoint"
@@ -26,7 +32,10 @@ def save(
     reward: StructuredReward | None = None,
     provenance: Mapping[str, Any] | None = None,
 ) -> None:
-    """Write the model (and the reward it was grounded in) so that the file appears whole or not at all."""
+    """Write a model, the reward it was grounded in, and how both were made (any values that JSON can hold).
+
+    The file appears whole or not at all; its folder is made if it is missing.
+    """
     config, dynamics = model.config, model.dynamics
     _write(
         Path(path),
@@ -39,16 +48,16 @@ def save(
             "vocabulary": [str(k) for k in config.vocabulary],
             "state": list(dynamics.state),
             "action": list(dynamics.action),
-            "tensors": {name: tensor.detach().clone() for name, tensor in model.state_dict().items()},
+            "tensors": _tensors(model),
             "reward_config": msgspec.json.encode(reward.config).decode() if reward else "",
-            "reward_tensors": _tensors(reward),
+            "reward_tensors": _tensors(reward) if reward else {},
             "provenance": msgspec.json.encode(dict(provenance or {})).decode(),
         },
     )
 
 
-def _tensors(reward: StructuredReward | None) -> dict[str, Tensor]:
-    return {name: tensor.detach().clone() for name, tensor in reward.state_dict().items()} if reward else {}
+def _tensors(module: torch.nn.Module) -> dict[str, Tensor]:
+    return {name: tensor.detach().clone() for name, tensor in module.state_dict().items()}
 
 
 def _write(path: Path, content: dict[str, Any]) -> None:
@@ -65,8 +74,8 @@ def _write(path: Path, content: dict[str, Any]) -> None:
 
 
 def load(path: Path | str) -> RelationalModel:
-    """The model of a checkpoint, ready to drive."""
-    content = _read(Path(path))
+    """The model of a checkpoint, with fixed weights and ready to drive."""
+    content = _read(path)
     config = _decoded(content["config"], ModelConfig, path)
     model = RelationalModel(config)
     _check_layout(content, model, path)
@@ -78,8 +87,8 @@ def load(path: Path | str) -> RelationalModel:
 
 
 def load_reward(path: Path | str) -> StructuredReward | None:
-    """The reward the checkpoint's model was grounded in; None where it was trained without one."""
-    content = _read(Path(path))
+    """The reward that the model of a checkpoint was grounded in, with fixed weights; None if it has none."""
+    content = _read(path)
     if not content["reward_config"]:
         return None
     kind = RewardConfig if tuple(content["vocabulary"]) == FOLLOWING else LaneRewardConfig
@@ -91,12 +100,12 @@ def load_reward(path: Path | str) -> StructuredReward | None:
 
 
 def provenance(path: Path | str) -> dict[str, Any]:
-    """How the checkpoint was made: scenario, seed, versions, figures."""
-    return msgspec.json.decode(_read(Path(path))["provenance"])
+    """How a checkpoint was made: configuration, seed, versions and scores."""
+    return msgspec.json.decode(_read(path)["provenance"])
 
 
 def objective(path: Path | str) -> str:
-    """What the model was trained for: "gri", "nri", "supervised", …; "gri" where the file does not say."""
+    """The objective that a model was trained with: "gri", "nri", "supervised", …; "gri" if the file does not say."""
     name = provenance(path).get("config", {}).get("objective", {}).get("type", "gri")
     return name.removesuffix("_recorded").removesuffix("_told")
 
@@ -104,9 +113,8 @@ def objective(path: Path | str) -> str:
 _REMAKE = "make it again with `gri train`"
 
 
-def _read(path: Path) -> dict[str, Any]:
-    if not path.is_file():
-        raise InputError(f"{path}: no such checkpoint; make one with `gri train`")
+def _read(path: Path | str) -> dict[str, Any]:
+    path = find_checkpoint(path)
     try:
         content = torch.load(path, map_location="cpu", weights_only=True)
     except (RuntimeError, EOFError, ValueError, KeyError, OSError, pickle.UnpicklingError) as error:
@@ -128,7 +136,7 @@ def _decoded(text: str, kind: type, path: Path | str) -> Any:
 
 
 def _check_layout(content: dict[str, Any], model: RelationalModel, path: Path | str) -> None:
-    """The file states its layout beside the configuration; the two must agree with what this release means by it."""
+    """Compare the layout that the file states with the layout that this release derives from its configuration."""
     wanted = {
         "dt": model.config.dt,
         "history_steps": model.config.history_steps,

@@ -1,10 +1,12 @@
-"""Where the files that come with the project are.
+"""Where the files that come with the project are: scenarios, nets and released checkpoints.
 
-A source tree keeps `scenarios/` and `sumo_nets/` at its top level; a wheel carries the same folders inside
-the package, so that names like `us101_car_following` work from anywhere after an install.
+A source tree keeps `scenarios/` and `sumo_nets/` at its top level. A wheel carries the same folders inside the package,
+so that names like `us101_car_following` work from anywhere after an install.
 """
 
 from pathlib import Path
+
+from gri.errors import InputError
 
 PACKAGE = Path(__file__).parent
 
@@ -15,16 +17,21 @@ def shipped(*parts: str) -> Path:
     return (bundled if bundled.is_dir() else PACKAGE.parent).joinpath(*parts)
 
 
-def checkpoint(name: str) -> Path:
-    """The path of a released checkpoint, by its bare name."""
-    return PACKAGE / "checkpoints" / f"{name}.pt"
-
-
-def checkpoint_at(given: str | Path) -> Path:
-    """The path of a checkpoint given as such (with an ending), or by the bare name of a released one."""
-    return Path(given) if Path(given).suffix else checkpoint(str(given))
-
-
 def checkpoints() -> list[str]:
-    """Names of the released checkpoints."""
+    """Names of the released checkpoints, in alphabetical order."""
     return sorted(path.stem for path in (PACKAGE / "checkpoints").glob("*.pt"))
+
+
+def find_checkpoint(given: str | Path, field: str = "") -> Path:
+    """The file of a checkpoint, given by its path or by the name of a released one; a file of that path comes first.
+
+    Raises `InputError` if there is neither; the message begins with `field`, the field of a YAML file that named it.
+    """
+    for path in (Path(given), PACKAGE / "checkpoints" / f"{given}.pt"):
+        if path.is_file():
+            return path
+    where = f"{field}: " if field else ""
+    raise InputError(
+        f"{where}no checkpoint {str(given)!r}: expected the path of a file or a released name"
+        f" ({', '.join(checkpoints())}); make one with `gri train`"
+    )

@@ -7,8 +7,7 @@ from xml.etree import ElementTree
 
 from cosim.spec.scenario import Replay, Scenario, TrainedPolicy, UserPolicy
 from gri.errors import InputError
-from gri.resources import checkpoint as released
-from gri.resources import checkpoints, shipped
+from gri.resources import find_checkpoint, shipped
 
 
 def find_net(name: str) -> Path:
@@ -71,14 +70,11 @@ def source_path(policy: UserPolicy) -> Path:
 
 
 def checkpoint_path(name: str) -> Path:
-    """The file of a checkpoint, by path or by the name of a released one. Raises `InputError` if there is none."""
-    for path in (Path(name), released(name)):
-        if path.is_file():
-            return path
-    raise InputError(
-        f"policy.checkpoint: no checkpoint {name!r}: expected a path or a released name ({', '.join(checkpoints())});"
-        " make one with `gri train`"
-    )
+    """The file of the checkpoint that `policy.checkpoint` names, by path or by the name of a released one.
+
+    Raises `InputError` if there is no such file.
+    """
+    return find_checkpoint(name, field="policy.checkpoint")
 
 
 def sha256(path: Path) -> str:

@@ -97,7 +97,7 @@ def evaluate(
     from gri.evaluation.true_relations import compare_with_truth, truth_tables
     from gri.training.train import TrainConfig
 
-    path = resources.checkpoint_at(path)
+    path = resources.find_checkpoint(path)
     model, made = checkpoint.load(path), checkpoint.provenance(path)
     if "config" not in made:
         raise InputError(

@@ -74,7 +74,7 @@ def test_other_files_are_named(tmp_path: Path):
         checkpoint.load(garbage)
     with pytest.raises(InputError, match="not a gri-checkpoint"):
         checkpoint.load(tensors)
-    with pytest.raises(InputError, match="no such checkpoint"):
+    with pytest.raises(InputError, match=r"no checkpoint '.*missing.pt': .*us101_merge.*; make one with `gri train`"):
         checkpoint.load(tmp_path / "missing.pt")
 
 
@@ -120,7 +120,7 @@ def test_tensors_of_another_size_are_named(saved: tuple[Path, RelationalModel]):
     ],
 )
 def test_released_checkpoints_load_and_are_small(name: str, history_steps: int):
-    path = resources.checkpoint(name)
+    path = resources.find_checkpoint(name)
     model = checkpoint.load(path)
     assert model.history_steps == history_steps
     assert path.stat().st_size < 500_000

@@ -58,7 +58,7 @@ def load_driver(model: RelationalModel, reward: StructuredReward, start: str) ->
 
     Errors: `InputError` if the checkpoint has no reward, or another vocabulary, dynamics, scale, decoder or reward.
     """
-    path = resources.checkpoint_at(start)
+    path = resources.find_checkpoint(start)
     driver, driver_reward = checkpoint.load(path), checkpoint.load_reward(path)
     if driver_reward is None:
         raise InputError(

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 import yaml
 
-from gri.resources import checkpoint
+from gri.resources import find_checkpoint
 from tests.cosim.conftest import write_short
 
 
@@ -103,7 +103,7 @@ def test_net_that_crashes_sumo(short):
 
 
 def test_truncated_checkpoint(short):
-    whole = checkpoint("us101_car_following").read_bytes()
+    whole = find_checkpoint("us101_car_following").read_bytes()
     (short / "cut.pt").write_bytes(whole[: len(whole) // 2])
     name = variant(short, "cutck.yaml", policy={"kind": "gri", "checkpoint": "cut.pt"})
     assert "damaged or cut short" in refused(short, "run", name)

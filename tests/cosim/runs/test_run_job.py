@@ -10,7 +10,7 @@ from cosim.spec.loading import load_scenario, override
 from gri.core.policy import ConstantVelocity, IntelligentDriver
 from gri.errors import InputError
 from gri.networks.model import RelationalModel
-from gri.resources import checkpoint, shipped
+from gri.resources import find_checkpoint, shipped
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +49,7 @@ def test_another_xml_file_is_not_a_net(tmp_path):
         ({"kind": "idm"}, IntelligentDriver),
         ({"kind": "constant_velocity"}, ConstantVelocity),
         ({"kind": "gri", "checkpoint": "us101_car_following"}, RelationalModel),
-        ({"kind": "gri", "checkpoint": str(checkpoint("us101_car_following"))}, RelationalModel),
+        ({"kind": "gri", "checkpoint": str(find_checkpoint("us101_car_following"))}, RelationalModel),
         ({"kind": "sumo"}, type(None)),
     ],
 )

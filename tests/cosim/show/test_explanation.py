@@ -9,12 +9,11 @@ from cosim.show.explanation import explanation, model_states, terms_of
 from cosim.spec.loading import load_scenario
 from gri import checkpoint
 from gri.core.graph import EdgeType, InteractionGraph
-from gri.resources import checkpoint as released
 
 
 @pytest.fixture(scope="module")
 def reward():
-    reward = checkpoint.load_reward(released("us101_car_following"))
+    reward = checkpoint.load_reward("us101_car_following")
     assert reward is not None
     return reward
 

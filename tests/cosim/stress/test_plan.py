@@ -8,7 +8,7 @@ from cosim.spec.perturbations import KINDS, HeadwayRatio
 from cosim.spec.scenario import ConstantVelocity, Idm, LeftToSumo, TrainedPolicy
 from cosim.stress.plan import Cell, chunks, perturbed_scenario, policies_of, sweeps_of
 from gri.errors import InputError
-from gri.resources import checkpoint
+from gri.resources import find_checkpoint
 
 
 @pytest.fixture(scope="module")
@@ -95,7 +95,7 @@ def test_names_of_policies(scenario):
     assert found["gri"] == TrainedPolicy(checkpoint="us101_car_following")
     assert found["supervised"] == TrainedPolicy(checkpoint="us101_car_following_supervised")
     assert found["idm"] == Idm()
-    path = str(checkpoint("us101_car_following_supervised"))
+    path = str(find_checkpoint("us101_car_following_supervised"))
     assert policies_of([path], scenario) == {"us101_car_following_supervised": TrainedPolicy(checkpoint=path)}
 
 
