@@ -1,8 +1,8 @@
-"""The optimum of the true reward: what no policy that obeys it can beat, by more than luck.
+"""The best response of one vehicle under a given reward: no policy under that reward has a higher return.
 
-The actions of one vehicle over the whole horizon are optimised at once, open loop, with all other vehicles
-given. Returns have several local optima (a follower that starts in front has no headway to gain until it has
-been passed), so every scene is climbed from several guesses and the best summit is kept.
+The actions of one vehicle over the whole horizon are optimised at once (open loop), with the trajectories of all other
+vehicles given. The return has several local maxima: a follower that starts ahead of its leader gains no headway before
+the leader has passed it. So every scene is optimised from several initial guesses, and the best result is taken.
 """
 
 from collections.abc import Callable
@@ -13,66 +13,67 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from gri.core.dynamics import Dynamics
-from gri.planning.ilqr import Task, climb_by_steps
+from gri.planning.ilqr import ControlProblem, maximise_ilqr
 from gri.rewards.structured import StructuredReward
 
 Value = Callable[[Tensor], Tensor]
-"""Actions of B scenes as vectors [B, n] -> return [B]; scenes must not depend on each other."""
+"""Actions of B scenes as vectors [B, n] -> returns [B]; scenes must not depend on each other."""
 
 
-def climb(value: Value, guess: Float[Tensor, "B n"], iterations: int = 150) -> Float[Tensor, "B n"]:
-    """Maximise every scene's return by itself: BFGS with a backtracking line search, all scenes at once.
+def maximise_bfgs(value: Value, guess: Float[Tensor, "B n"], iterations: int = 150) -> Float[Tensor, "B n"]:
+    """Maximise the return of every scene separately: BFGS with a backtracking line search, all scenes at once.
 
-    A step is taken where it raises the return by at least 10⁻⁴ of what the slope promises (Armijo); the
-    inverse Hessian is updated where the curvature along the step has the right sign.
+    A step is taken if it raises the return by at least 10⁻⁴ of the first-order prediction (Armijo). The inverse Hessian
+    is updated if the curvature along the step is positive.
     """
     point = guess.clone()
     inverse = torch.eye(point.shape[1], dtype=point.dtype).repeat(len(point), 1, 1)
-    cost, slope = _cost_and_slope(value, point)
+    cost, gradient = _cost_and_gradient(value, point)
     for _ in range(iterations):
-        direction = -_product(inverse, slope)
-        uphill = (direction * slope).sum(-1) >= 0
-        direction = torch.where(uphill[:, None], -slope, direction)
-        moved, moved_cost = _line_search(value, point, cost, slope, direction)
-        moved_cost, moved_slope = _cost_and_slope(value, moved)
-        inverse = _updated(inverse, moved - point, moved_slope - slope)
-        if bool(((moved - point).abs().amax(-1) < 1e-6).all()):
-            return moved
-        point, cost, slope = moved, moved_cost, moved_slope
+        direction = -(inverse @ gradient[..., None])[..., 0]
+        uphill = (direction * gradient).sum(-1) >= 0
+        direction = torch.where(uphill[:, None], -gradient, direction)
+        next_point = _line_search(value, point, cost, gradient, direction)
+        next_cost, next_gradient = _cost_and_gradient(value, next_point)
+        inverse = _update_inverse(inverse, next_point - point, next_gradient - gradient)
+        if bool(((next_point - point).abs().amax(-1) < 1e-6).all()):
+            return next_point
+        point, cost, gradient = next_point, next_cost, next_gradient
     return point
 
 
-def _cost_and_slope(value: Value, point: Tensor) -> tuple[Tensor, Tensor]:
+def _cost_and_gradient(value: Value, point: Tensor) -> tuple[Tensor, Tensor]:
     with torch.enable_grad():
         point = point.detach().requires_grad_(True)
         cost = -value(point)
-        (slope,) = torch.autograd.grad(cost.sum(), point)
-    return cost.detach(), slope
+        (gradient,) = torch.autograd.grad(cost.sum(), point)
+    return cost.detach(), gradient
 
 
 def _line_search(
-    value: Value, point: Tensor, cost: Tensor, slope: Tensor, direction: Tensor, halvings: int = 12
-) -> tuple[Tensor, Tensor]:
-    """The first of the steps 1, ½, ¼, … that lowers the cost enough; no step where none does."""
-    promised = (direction * slope).sum(-1)
+    value: Value, point: Tensor, cost: Tensor, gradient: Tensor, direction: Tensor, halvings: int = 12
+) -> Tensor:
+    """The point after the first of the steps 1, ½, ¼, … that lowers the cost enough; no step if none does."""
+    predicted = (direction * gradient).sum(-1)
     size = torch.ones_like(cost)
     found = torch.zeros(len(cost), dtype=torch.bool)
-    best, best_cost = point, cost
+    best = point
     for _ in range(halvings):
         trial = point + size[:, None] * direction
-        trial_cost = -value(trial)
-        enough = ~found & (trial_cost <= cost + 1e-4 * size * promised)
+        enough = ~found & (-value(trial) <= cost + 1e-4 * size * predicted)
         best = torch.where(enough[:, None], trial, best)
-        best_cost = torch.where(enough, trial_cost, best_cost)
         found = found | enough
         if bool(found.all()):
             break
         size = size / 2
-    return best, best_cost
+    return best
 
 
-def _updated(inverse: Tensor, step: Tensor, change: Tensor) -> Tensor:
-    """BFGS: H ← (I − ρsyᵀ)·H·(I − ρysᵀ) + ρssᵀ with ρ = 1 / yᵀs, where yᵀs > 0."""
+def _update_inverse(inverse: Tensor, step: Tensor, change: Tensor) -> Tensor:
+    """BFGS: H ← (I − ρsyᵀ)·H·(I − ρysᵀ) + ρssᵀ with ρ = 1 / yᵀs, where yᵀs > 0.
+
+    s is the step, and y the change of the gradient along it.
+    """
     curvature = (step * change).sum(-1)
     usable: Bool[Tensor, " B"] = curvature > 1e-10
     rho = torch.where(usable, 1 / curvature.clamp(min=1e-10), torch.zeros_like(curvature))[:, None, None]
@@ -81,50 +82,46 @@ def _updated(inverse: Tensor, step: Tensor, change: Tensor) -> Tensor:
     return left @ inverse @ left.mT + rho * step[:, :, None] * step[:, None, :]
 
 
-def _product(matrix: Tensor, vector: Tensor) -> Tensor:
-    return (matrix @ vector[..., None])[..., 0]
-
-
 @dataclass(frozen=True)
 class ResponseProblem:
-    """One scene per row: where the vehicle starts, and what the vehicles it may mind do meanwhile."""
+    """One scene per row: the initial state of the vehicle, and the trajectories of the S other vehicles."""
 
     start: Float[Tensor, "B D"]
     others: Float[Tensor, "B S T D"]
-    kinds: tuple[int, ...]
-    """Index of the type of the edge from each of the others; 0 = none."""
+    edge_types: tuple[int, ...]
+    """Index of the type of the edge from each of the others to the vehicle; 0 = none."""
 
 
 def best_response(
-    given: ResponseProblem, reward: StructuredReward, dynamics: Dynamics, dt: float, iterations: int = 150
+    problem: ResponseProblem, reward: StructuredReward, dynamics: Dynamics, dt: float, iterations: int = 150
 ) -> Float[Tensor, "B T D"]:
-    """States of the vehicle under the actions with the highest true return, the best of several climbs.
+    """States of the vehicle under the actions with the highest return, the best of several optimisations.
 
-    Where actions are many, only the guess that is best after a few steps climbs to its summit.
+    With one action per step, BFGS optimises every guess. With more, the guess that is best after ten iterations of
+    iLQR is optimised further: a matrix over all actions would be slow to compute and slow to converge.
     """
-    steps, size = given.others.shape[2] - 1, len(dynamics.action)
-    others = given.others.double()[:, :, :-1]
-    task = Task(given.start.double(), others, given.kinds, reward.in_double(), dynamics, dt)
+    steps, size = problem.others.shape[2] - 1, len(dynamics.action)
+    others = problem.others.double()[:, :, :-1]
+    control = ControlProblem(problem.start.double(), others, problem.edge_types, reward.in_double(), dynamics, dt)
 
     def value(actions: Tensor) -> Tensor:
         action = actions.unflatten(-1, (steps, size))
-        return task.value(task.simulate(action)[:, :-1], action)
+        return control.value(control.simulate(action)[:, :-1], action)
 
-    def try_out(guess: Tensor) -> Tensor:
+    def optimise(guess: Tensor) -> Tensor:
         if size == 1:
-            return climb(value, guess, iterations)
-        # With more actions, a matrix over all of them is slow and slow to learn.
-        return climb_by_steps(task, guess.unflatten(-1, (steps, size)), iterations=10).flatten(1)
+            return maximise_bfgs(value, guess, iterations)
+        return maximise_ilqr(control, guess.unflatten(-1, (steps, size)), iterations=10).flatten(1)
 
-    tried = [try_out(guess) for guess in guesses(len(others), steps, size, dt)]
-    values = torch.stack([value(actions) for actions in tried])
-    best = torch.stack(tried)[values.argmax(0), torch.arange(len(others))].unflatten(-1, (steps, size))
-    best = best if size == 1 else climb_by_steps(task, best)
-    return task.simulate(best).float()
+    optimised = [optimise(guess) for guess in initial_actions(len(others), steps, size, dt)]
+    values = torch.stack([value(actions) for actions in optimised])
+    best = torch.stack(optimised)[values.argmax(0), torch.arange(len(others))].unflatten(-1, (steps, size))
+    best = best if size == 1 else maximise_ilqr(control, best)
+    return control.simulate(best).float()
 
 
-def guesses(count: int, steps: int, size: int, dt: float) -> list[Float[Tensor, "B n"]]:
-    """Actions to climb from: none, and braking or speeding up within 0.6 s to a held acceleration [m/s²]."""
+def initial_actions(count: int, steps: int, size: int, dt: float) -> list[Float[Tensor, "B n"]]:
+    """Initial guesses: constant speed, and a change within three steps to a constant acceleration [m/s²]."""
     made = []
     for acceleration in (0.0, -1.0, -2.0, -4.0, 1.0):
         action = torch.zeros(count, steps, size, dtype=torch.double)

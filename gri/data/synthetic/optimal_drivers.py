@@ -18,7 +18,7 @@ from gri.data.ranges.highway_merge import HighwayMergeRange, Situation, Situatio
 from gri.data.ranges.highway_states import sample_history, sample_leader, sample_takeovers
 from gri.data.ranges.merge_geometry import VEHICLE_LENGTH
 from gri.data.synthetic.expert import true_reward
-from gri.planning.ilqr import Task, climb_by_steps
+from gri.planning.ilqr import ControlProblem, maximise_ilqr
 from gri.progress import Progress, no_progress
 
 SWEEPS = 2
@@ -94,16 +94,18 @@ def drive_optimally(
     start, leader, graphs = start.double(), leader.double(), graph.expand(len(start), -1)
     roles = [incoming(graphs, j, 3) for j in range(2)]
 
-    def task(j: int, state: Tensor) -> Task:
+    def task(j: int, state: Tensor) -> ControlProblem:
         others, kinds = roles[j]
         given = state[:, others, :-1]
-        return Task(start[:, j], given, tuple(kinds[0].tolist()), reward, dynamics, scenes.dt, scenes.never_reverse)
+        return ControlProblem(
+            start[:, j], given, tuple(kinds[0].tolist()), reward, dynamics, scenes.dt, scenes.never_reverse
+        )
 
     action = distance_controller(scenes, start, leader, graph)
     state = torch.stack([*(task(j, start[:, :, None]).simulate(action[:, j]) for j in range(2)), leader], 1)
     for _ in range(SWEEPS):
         for j in range(2):
-            action[:, j] = climb_by_steps(task(j, state), action[:, j], ITERATIONS)
+            action[:, j] = maximise_ilqr(task(j, state), action[:, j], ITERATIONS)
             state[:, j] = task(j, state).simulate(action[:, j])
     return Scenes(state.float(), action.float(), graphs)
 

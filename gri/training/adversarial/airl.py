@@ -25,7 +25,7 @@ from gri.core.graph import InteractionGraph, pairs, vehicle_count
 from gri.core.scenes import Scenes
 from gri.networks.model import RelationalModel
 from gri.networks.rollout import log_prob_of, rollout
-from gri.planning.laplace_likelihood import edge_prior
+from gri.planning.edge_posterior import edge_prior
 from gri.progress import Progress, no_progress
 from gri.rewards.structured import AnyRewardConfig, NaturalisticConfig, ShapedReward, StructuredReward
 from gri.training.adversarial.discriminator import (

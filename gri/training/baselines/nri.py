@@ -13,7 +13,7 @@ import torch
 from gri.core.scenes import Scenes
 from gri.networks.model import RelationalModel
 from gri.networks.rollout import rollout
-from gri.planning.laplace_likelihood import edge_prior
+from gri.planning.edge_posterior import edge_prior
 from gri.progress import Progress, no_progress
 from gri.training.optimisation import (
     Bottleneck,

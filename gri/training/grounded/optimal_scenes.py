@@ -16,7 +16,7 @@ from gri.core.graph import incoming
 from gri.core.scenes import Scenes
 from gri.networks.model import RelationalModel
 from gri.networks.rollout import rollout
-from gri.planning.ilqr import Task, climb_by_steps
+from gri.planning.ilqr import ControlProblem, maximise_ilqr
 from gri.progress import Progress, no_progress
 from gri.rewards.structured import StructuredReward
 from gri.training.optimisation import squared_error
@@ -75,7 +75,7 @@ def improve_vehicle(
     for shared in kinds.unique(dim=0):
         chosen = (kinds == shared).all(-1).nonzero()[:, 0]
         given = scenes.state[chosen][:, others, :-1]
-        task = Task(
+        task = ControlProblem(
             state[chosen, vehicle, 0],
             given,
             tuple(shared.tolist()),
@@ -84,7 +84,7 @@ def improve_vehicle(
             model.dt,
             model.config.never_reverse,
         )
-        action[chosen, vehicle] = climb_by_steps(task, action[chosen, vehicle], iterations)
+        action[chosen, vehicle] = maximise_ilqr(task, action[chosen, vehicle], iterations)
         state[chosen, vehicle] = task.simulate(action[chosen, vehicle])
     return Scenes(state, action, scenes.graph)
 

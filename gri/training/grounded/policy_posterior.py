@@ -8,7 +8,7 @@ from gri.core.graph import pairs, vehicle_count
 from gri.core.scenes import Scenes
 from gri.networks.model import RelationalModel
 from gri.networks.rollout import mean_actions
-from gri.planning.laplace_likelihood import combinations, marginals
+from gri.planning.edge_posterior import combinations, marginals
 from gri.rewards.structured import StructuredReward
 
 

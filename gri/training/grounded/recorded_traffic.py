@@ -16,7 +16,7 @@ from gri.core.graph import EdgeType
 from gri.core.layers import edge_ends
 from gri.core.scenes import Scenes
 from gri.networks.model import RelationalModel
-from gri.planning.laplace_likelihood import combination_prior, marginals, scene_prior
+from gri.planning.edge_posterior import UNLIKELY, combination_prior, marginals, scene_prior
 from gri.planning.riccati_likelihood import expand_steps, log_likelihood_by_steps
 from gri.progress import Progress, no_progress
 from gri.rewards.structured import StructuredReward
@@ -150,7 +150,7 @@ def recorded_prior(
     can_follow = in_lane
     if grounded.ahead_only:
         nearest_ahead = is_preceding(state[:, :, -1, 0], lane)[:, senders, receivers]
-        unlikely = IMPOSSIBLE if EdgeType.YIELD in reward.vocabulary else 1e-12
+        unlikely = IMPOSSIBLE if EdgeType.YIELD in reward.vocabulary else UNLIKELY
         prior[..., 1:] = prior[..., 1:].masked_fill(~nearest_ahead[..., None], unlikely)
         can_follow = in_lane & nearest_ahead
     if EdgeType.YIELD in reward.vocabulary:

@@ -10,7 +10,8 @@ from torch import Tensor
 
 from gri.core.scenes import Scenes
 from gri.networks.model import RelationalModel
-from gri.planning.laplace_likelihood import Expansion, combination_prior, expand, log_likelihood, marginals, scene_prior
+from gri.planning.edge_posterior import combination_prior, marginals, scene_prior
+from gri.planning.laplace_likelihood import Expansion, expand, log_likelihood
 from gri.planning.riccati_likelihood import StepExpansion, expand_steps, log_likelihood_by_steps
 from gri.progress import Progress, no_progress
 from gri.rewards.structured import StructuredReward

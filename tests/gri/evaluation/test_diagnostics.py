@@ -78,7 +78,7 @@ def test_flips_are_judged_where_the_optimum_moves(model, scenes, monkeypatch):
 
     def optimum(given, reward, dynamics, dt):
         state = given.others[:, 0].clone()
-        state[:, -1, 0] -= moves[given.kinds[0]] * torch.tensor([1.0, 1.0, -1.0, 0.0, 0.0, 0.0])
+        state[:, -1, 0] -= moves[given.edge_types[0]] * torch.tensor([1.0, 1.0, -1.0, 0.0, 0.0, 0.0])
         return state
 
     def driven(model, start, graph, leader):

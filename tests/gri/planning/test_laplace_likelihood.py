@@ -6,16 +6,8 @@ from torch import Tensor
 
 from gri.core.graph import FOLLOWING, EdgeType, InteractionGraph, pairs
 from gri.networks.model import ModelConfig, RelationalModel
-from gri.planning.laplace_likelihood import (
-    combinations,
-    edge_posterior,
-    edge_prior,
-    expand,
-    log_likelihood,
-    marginals,
-    scene_prior,
-    sensitivities,
-)
+from gri.planning.edge_posterior import combinations, edge_prior, marginals, scene_prior
+from gri.planning.laplace_likelihood import expand, log_likelihood, sensitivities
 from gri.rewards.structured import RewardConfig, StructuredReward
 
 REWARD = RewardConfig(temperature=0.1)
@@ -102,7 +94,7 @@ def test_likelihood_of_a_quadratic_reward_is_the_gaussian_density(model: Relatio
     torch.testing.assert_close(log_likelihood(reward, expansion)[0, 0, 0].double(), density, atol=1e-3, rtol=1e-3)
 
 
-def test_posterior_tells_a_follower_from_a_free_driver(model: RelationalModel, generator: torch.Generator):
+def test_posterior_separates_a_follower_from_a_free_driver(model: RelationalModel, generator: torch.Generator):
     """Vehicle 0 brakes hard behind a slow vehicle 1, vehicle 1 drives on towards the limit through vehicle 2."""
     time = torch.arange(20) * 0.2
     slow = torch.stack([6 + 2 * time, torch.full_like(time, 2.0), torch.zeros(20)], -1)
@@ -118,7 +110,7 @@ def test_posterior_tells_a_follower_from_a_free_driver(model: RelationalModel, g
     action = model.dynamics.inverse(state[:, :2, :-1], state[:, :2, 1:], 0.2)
     reward = StructuredReward(RewardConfig(temperature=1.0))
     prior = scene_prior(reward, state, 0.9)
-    posterior = edge_posterior(reward, expand(model, reward, state, action), prior)[0, :, 1]
+    posterior = marginals(reward, log_likelihood(reward, expand(model, reward, state, action)), prior)[0, :, 1]
     assert posterior[pairs(3).index((2, 1))] < 0.5
 
 
@@ -126,37 +118,10 @@ def test_edges_into_the_leader_keep_the_prior(model: RelationalModel, generator:
     reward = StructuredReward(REWARD)
     state, action = scene(generator)
     prior = scene_prior(reward, state, 0.9)
-    posterior = edge_posterior(reward, expand(model, reward, state, action), prior)
+    posterior = marginals(reward, log_likelihood(reward, expand(model, reward, state, action)), prior)
     for sender in (0, 1):
         torch.testing.assert_close(posterior[:, pairs(3).index((sender, 2))], edge_prior(2, 0.9).expand(2, -1))
     torch.testing.assert_close(posterior.sum(-1), torch.ones(2, 6))
-
-
-def test_combinations_enumerate_all_incoming_edges():
-    masks, types = combinations(StructuredReward(REWARD), 2)
-    assert masks.shape == (4, 7)
-    assert masks[0].tolist() == [1, 1, 1, 0, 0, 0, 0]
-    assert types.argmax(-1).tolist() == [[0, 0], [0, 1], [1, 0], [1, 1]]
-
-
-def test_no_likelihood_makes_up_for_what_is_ruled_out():
-    reward = StructuredReward(REWARD)
-    prior = torch.tensor([[[0.5, 0.5]] * 6])
-    edge = pairs(3).index((2, 0))
-    prior[0, edge] = torch.tensor([1.0, 1e-37])
-    follows = combinations(reward, 2)[1][..., 1]  # of both senders, in every combination
-    likelihood = (1000.0 * follows.sum(-1)).expand(1, 2, -1)
-    posterior = marginals(reward, likelihood, prior)[0, :, 1]
-    assert posterior[edge] == 0
-    assert posterior[pairs(3).index((1, 0))] == 1
-
-
-def test_with_ahead_only_nobody_follows_a_vehicle_behind(generator: torch.Generator):
-    state, _ = scene(generator)
-    prior = scene_prior(StructuredReward(REWARD), state, 0.9, ahead_only=True)
-    for edge, (i, j) in enumerate(pairs(3)):
-        expected = 0.1 if i > j else 0.0
-        torch.testing.assert_close(prior[:, edge, 1], torch.full((2,), expected), atol=1e-6, rtol=0)
 
 
 def test_windows_count_as_scenes_of_their_own(model: RelationalModel, generator: torch.Generator):

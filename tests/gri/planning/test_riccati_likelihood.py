@@ -8,8 +8,9 @@ from gri.data.ranges.lane_changing import LANE_CHANGING_SCENES
 from gri.data.synthetic.expert import make_scenes, model_config, true_reward
 from gri.networks.decoder import DecoderConfig
 from gri.networks.model import RelationalModel
-from gri.planning.laplace_likelihood import combinations, sensitivities
-from gri.planning.riccati_likelihood import StepExpansion, derivatives, expand_steps, log_likelihood_by_steps
+from gri.planning.edge_posterior import combinations
+from gri.planning.laplace_likelihood import sensitivities
+from gri.planning.riccati_likelihood import StepExpansion, derivatives_of_squares, expand_steps, log_likelihood_by_steps
 from gri.rewards.structured import StructuredReward
 
 
@@ -65,19 +66,21 @@ def test_its_gradient_equals_that_of_one_matrix(model: RelationalModel, scenes: 
 def test_slopes_of_squares_and_of_their_roots():
     """f = (x²·y, (5y)²) = r² with r = (x·√y, 5y)."""
     point = torch.tensor([[2.0, 4.0], [1.0, 1.0]])
-    slope, residual = derivatives(lambda p: torch.stack([p[..., 0] ** 2 * p[..., 1], 25 * p[..., 1] ** 2], -1), point)
+    slope, residual = derivatives_of_squares(
+        lambda p: torch.stack([p[..., 0] ** 2 * p[..., 1], 25 * p[..., 1] ** 2], -1), point
+    )
     assert slope[0].tolist() == [[16.0, 4.0], [0.0, 200.0]]
     torch.testing.assert_close(residual[0], torch.tensor([[2.0, 0.5], [0.0, 5.0]]), rtol=1e-3, atol=1e-3)
 
 
-def test_a_wish_fulfilled_to_the_letter_still_has_a_curvature():
-    slope, residual = derivatives(lambda p: (3 * p[..., :1]) ** 2, torch.zeros(1, 2))
+def test_a_feature_of_zero_still_has_a_curvature():
+    slope, residual = derivatives_of_squares(lambda p: (3 * p[..., :1]) ** 2, torch.zeros(1, 2))
     assert slope.tolist() == [[[0.0, 0.0]]]
     torch.testing.assert_close(residual, torch.tensor([[[3.0, 0.0]]]))
 
 
-def test_one_sided_wishes_have_none_where_they_ask_for_nothing():
-    _, residual = derivatives(lambda p: (p[..., :1] - 5).clamp(min=0) ** 2, torch.zeros(1, 2))
+def test_one_sided_features_have_no_curvature_where_they_are_zero():
+    _, residual = derivatives_of_squares(lambda p: (p[..., :1] - 5).clamp(min=0) ** 2, torch.zeros(1, 2))
     assert residual.tolist() == [[[0.0, 0.0]]]
 
 

@@ -6,7 +6,7 @@ from gri.data.ranges.car_following import PAPER
 from gri.data.synthetic.expert import sample_starts
 from gri.networks.model import ModelConfig, RelationalModel
 from gri.networks.rollout import rollout
-from gri.planning.laplace_likelihood import scene_prior
+from gri.planning.edge_posterior import scene_prior
 from gri.rewards.structured import StructuredReward
 from gri.training.grounded.augmentation import Augmentation, Shifts, augment_histories, random_graphs, shift_starts
 from gri.training.grounded.policy_posterior import incoming_graph, posterior_by_policy

@@ -13,7 +13,7 @@ from gri.errors import InputError
 from gri.networks.decoder import DecoderConfig
 from gri.networks.encoder import EncoderConfig
 from gri.networks.model import RelationalModel
-from gri.planning.laplace_likelihood import marginals
+from gri.planning.edge_posterior import marginals
 from gri.planning.riccati_likelihood import expand_steps, log_likelihood_by_steps
 from gri.rewards.recorded_traffic_features import References
 from gri.rewards.structured import NaturalisticConfig, StructuredReward
