@@ -1,4 +1,4 @@
-"""Reading configuration: YAML in, one frozen typed value out, and errors that name file, line and field."""
+"""Read configurations: a YAML file becomes one frozen typed value; errors name the file, the line and the field."""
 
 import difflib
 import re
@@ -15,12 +15,16 @@ T = TypeVar("T")
 
 
 def read_yaml(path: Path | str, kind: type[T]) -> T:
-    """The typed value of a YAML file; unknown fields, wrong types and repeated keys are `InputError`s."""
+    """The typed value of a YAML file.
+
+    Raises `InputError` if the file cannot be read, is not valid YAML, has unknown or repeated fields, or values of a
+    wrong type.
+    """
     return typed(parsed(path), kind, path)
 
 
 def parsed(path: Path | str) -> Any:
-    """The plain content of a YAML file."""
+    """The content of a YAML file as dicts, lists and numbers. Raises `InputError` as `read_yaml` does."""
     text = _text(Path(path))
     try:
         content, tree = yaml.safe_load(text), yaml.compose(text)
@@ -29,7 +33,7 @@ def parsed(path: Path | str) -> Any:
         where = f":{mark.line + 1}" if mark else ""
         reason = " ".join(str(getattr(error, "problem", error)).split())
         raise InputError(f"{path}{where}: not valid YAML ({reason})") from error
-    except ValueError as error:  # of dates that are none
+    except ValueError as error:  # an impossible date, such as 2026-02-30
         raise InputError(f"{path}: not valid YAML ({error})") from error
     for node, problem in _problems(tree):
         raise InputError(f"{path}:{node.start_mark.line + 1}: {problem}")
@@ -37,22 +41,25 @@ def parsed(path: Path | str) -> Any:
 
 
 def typed(content: Any, kind: type[T], path: Path | str) -> T:
-    """Plain content as a typed value; `path` is the file that errors name."""
+    """Plain content as a typed value. Raises `InputError`, which names `path`."""
     return checked(content, kind, path)
 
 
 def checked(content: Any, kind: Any, path: Path | str, under: Sequence[str] = ()) -> Any:
-    """Content that stands `under` these fields of a file, as a value of a kind, which may be a union."""
+    """Plain content as a value of `kind`, which may be a union. `under` are the fields of the file that contain it.
+
+    Raises `InputError`, which names `path`, the line and the field.
+    """
     try:
         return msgspec.convert(content, kind)
     except msgspec.ValidationError as error:
         raise InputError(_explained(str(error), kind, path, under)) from error
     except OverflowError as error:
-        raise located(path, under, f"a number in it is too large ({error}); give a smaller one") from error
+        raise located(path, under, f"it has a number that is too large ({error}); give a smaller one") from error
 
 
 def located(path: Path | str, fields: Sequence[str], problem: str) -> InputError:
-    """An error about a field of a YAML file: `file:line: field a.b[0]: problem`."""
+    """The error for a problem with a field of a YAML file: `file:line: field a.b[0]: problem`."""
     line = _line(list(fields), Path(path))
     name = ".".join(fields).replace(".[", "[")
     return InputError(f"{path}{f':{line}' if line else ''}: {f'field {name}: ' if name else ''}{problem}")
@@ -67,16 +74,16 @@ def _text(path: Path) -> str:
 
 
 def _problems(root: yaml.Node | None) -> Iterator[tuple[yaml.Node, str]]:
-    """What YAML allows and a configuration does not.
+    """What YAML allows and a configuration must not have, with the place in the file.
 
-    Keys that stand twice (loaders silently keep the last one), numbers that are not finite, and content that contains
+    These are repeated keys (loaders silently keep the last one), numbers that are not finite, and content that contains
     itself.
     """
     waiting: list[tuple[yaml.Node, tuple[yaml.Node, ...]]] = [] if root is None else [(root, ())]
     while waiting:
         node, above = waiting.pop()
         if node in above:
-            yield node, "an alias refers to what contains it; write the values out"
+            yield node, "an alias refers to content that contains it; write the values out"
             return
         if node.tag == "tag:yaml.org,2002:float" and node.value.lower().lstrip("+-") in (".inf", ".nan"):
             yield node, f"got {node.value}, expected a finite number"
@@ -85,7 +92,7 @@ def _problems(root: yaml.Node | None) -> Iterator[tuple[yaml.Node, str]]:
             keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
             for key, value in node.value:
                 if isinstance(key, yaml.ScalarNode) and keys.count(key.value) > 1:
-                    yield key, f"field {key.value} stands twice in its mapping; keep one"
+                    yield key, f"field {key.value} is given twice; keep one"
                 inside.append(value)
         elif isinstance(node, yaml.SequenceNode):
             inside = node.value
@@ -93,7 +100,7 @@ def _problems(root: yaml.Node | None) -> Iterator[tuple[yaml.Node, str]]:
 
 
 def _explained(message: str, kind: Any, path: Path | str, under: Sequence[str]) -> str:
-    """`file:line: field name: what is wrong; what to do` out of msgspec's message."""
+    """msgspec's message as `file:line: field name: what is wrong; what to do`."""
     found = re.search(r" - at `(?:key in )?\$\.?([^`]*)`", message)
     fields = [*under, *(re.split(r"\.|(?=\[)", found[1]) if found and found[1] else [])]
     unknown = re.search(r"unknown field `([^`]*)`", message)
@@ -107,13 +114,13 @@ def _explained(message: str, kind: Any, path: Path | str, under: Sequence[str]) 
 
 
 def _field_names(kind: Any) -> list[str]:
-    """All field names a value of that kind may hold, at any depth."""
+    """All field names that a value of that kind may have, at any depth."""
     definitions = msgspec.json.schema(kind).get("$defs", {}).values()
     return sorted({name for definition in definitions for name in definition.get("properties", {})})
 
 
 def _line(fields: list[str], path: Path) -> int | None:
-    """Line on which a field stands, counted from 1, as far as the file has it."""
+    """The line of a field, counted from 1; of the innermost field that contains it, if the file does not have it."""
     node = yaml.compose(_text(path))
     line = None
     for field in fields:

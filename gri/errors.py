@@ -1,9 +1,9 @@
-"""The one error a person can cause and mend."""
+"""The error for bad input, which the person who gave the input can correct."""
 
 
 class InputError(ValueError):
-    """Bad input from outside: a file, a field, an argument.
+    """Bad input: a file, a field or an argument.
 
-    Commands print it as one line and exit with code 2. The message says what was got, what was wanted,
-    where, and how to fix it.
+    Commands print it as one line and exit with code 2. The message says what was given, what was expected, where, and
+    how to fix it.
     """

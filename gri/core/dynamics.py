@@ -1,8 +1,9 @@
-"""Transition operators of the paper (Sec. VI-C, VI-D) and their inverses.
+"""How vehicles move: the transition operators of the paper (Sec. VI-C, VI-D) and their inverses.
 
-Each is a pair of pure functions, wrapped with the names and units of what it moves. `step` maps a state and
-an action to the next state, `inverse` maps two successive states to the action between them; `inverse(x,
-step(x, a))` is `a`. Leading axes are free, the feature axis is the last one.
+`POINT_MASS_1D` is for car following, `DUBINS` for synthetic lane changing, `POINT_MASS_2D` for recorded lane changes.
+Each `Dynamics` has two pure functions. `step` maps a state and an action to the next state. `inverse` maps two
+successive states to the action between them: `inverse(x, step(x, a))` is `a`. Leading axes are free, and the last axis
+holds the features in SI units.
 """
 
 from collections.abc import Callable
@@ -24,12 +25,14 @@ Array = TypeVar("Array", Tensor, np.ndarray)
 
 @runtime_checkable
 class Step(Protocol):
-    """(state, action, dt) -> next state, in torch or in numpy."""
+    """(state [*batch, D], action [*batch, A], dt [s]) -> next state [*batch, D], in torch or in numpy."""
 
     def __call__(self, state: Array, action: Array, dt: float, /) -> Array: ...
 
 
 class DynamicsName(StrEnum):
+    """Names of the dynamics, as in configurations and checkpoints."""
+
     POINT_MASS_1D = "point_mass_1d"
     DUBINS = "dubins"
     POINT_MASS_2D = "point_mass_2d"
@@ -37,7 +40,7 @@ class DynamicsName(StrEnum):
 
 @dataclass(frozen=True)
 class Dynamics:
-    """A transition operator with the names and SI units of its features."""
+    """A transition operator with the names and units of its state and action features."""
 
     name: DynamicsName
     state: tuple[str, ...]
@@ -46,21 +49,24 @@ class Dynamics:
     action_units: tuple[str, ...]
     step: Step
     inverse: Callable[[Tensor, Tensor, float], Tensor]
+    """(state, next state, dt) -> action."""
     stop: Callable[[Tensor, Tensor], Tensor] | None = None
-    """(state, next state) -> next state of a vehicle that stands still where it would roll backwards."""
+    """(state, next state) -> next state of a vehicle that stops where it would reverse; None: it may reverse."""
 
     def index(self, feature: str) -> int:
-        """Position of a state feature on the last axis."""
+        """Index of a state feature on the last axis; a `ValueError` if there is none of that name."""
         return self.state.index(feature)
 
     @property
     def speed(self) -> int:
-        """Position of the speed along the road, or in the direction of travel, on the last axis."""
+        """Index of the speed on the last axis: along the road, or in the direction of travel."""
         return self.index("v" if "v" in self.state else "vx")
 
 
-def _like(state: Tensor | np.ndarray, matrix: Callable[[float, torch.dtype], Tensor], dt: float) -> Tensor | np.ndarray:
-    """A matrix of the state's library and precision; numpy's is always double."""
+def _matrix_for(
+    state: Tensor | np.ndarray, matrix: Callable[[float, torch.dtype], Tensor], dt: float
+) -> Tensor | np.ndarray:
+    """A transition matrix in the library and precision of the state; in numpy it is always in double precision."""
     return matrix(dt, torch.float64).numpy() if isinstance(state, np.ndarray) else matrix(dt, state.dtype)
 
 
@@ -74,7 +80,7 @@ def _point_mass_1d_step(
 ) -> Float[Array, "*batch D"]:
     """x' = x + v·Δt + a·Δt²/2,  v' = v + a·Δt,  a' = a + δa·Δt  (Sec. VI-C)."""
     arrays = functions_for(state)
-    return arrays.linear(arrays.join([state, action]), _like(state, _point_mass_1d_matrix, dt))
+    return arrays.linear(arrays.join([state, action]), _matrix_for(state, _point_mass_1d_matrix, dt))
 
 
 def _point_mass_1d_inverse(state: State, next_state: State, dt: float) -> Action:
@@ -101,7 +107,7 @@ def _dubins_step(
     v, heading = state[..., 2:3], state[..., 3:4]
     arrays = functions_for(state)
     moved = arrays.join([state, action, v * arrays.cos(heading), v * arrays.sin(heading)])
-    return arrays.linear(moved, _like(state, _dubins_matrix, dt))
+    return arrays.linear(moved, _matrix_for(state, _dubins_matrix, dt))
 
 
 def _dubins_inverse(state: State, next_state: State, dt: float) -> Action:
@@ -111,19 +117,18 @@ def _dubins_inverse(state: State, next_state: State, dt: float) -> Action:
 def _point_mass_2d_step(
     state: Float[Array, "*batch 6"], action: Float[Array, "*batch 2"], dt: float
 ) -> Float[Array, "*batch 6"]:
-    """Both axes move as the 1-D point mass does (Sec. VI-D: no heading in the recorded data)."""
-    place, v, a = state[..., 0:2], state[..., 2:4], state[..., 4:6]
-    return functions_for(state).join([place + v * dt + 0.5 * a * dt**2, v + a * dt, a + action * dt])
+    """Each axis moves as the 1-D point mass does (Sec. VI-D: the recorded data has no heading)."""
+    position, v, a = state[..., 0:2], state[..., 2:4], state[..., 4:6]
+    return functions_for(state).join([position + v * dt + 0.5 * a * dt**2, v + a * dt, a + action * dt])
 
 
 def stop_at_standstill(
     state: Float[Tensor, "*batch 3"], next_state: Float[Tensor, "*batch 3"]
 ) -> Float[Tensor, "*batch 3"]:
-    """Let a 1-D point mass that would roll backwards stand still instead.
+    """Stop a 1-D point mass that would reverse.
 
-    The paper's equations know no standstill; in stop-and-go traffic v' = v + a·Δt < 0 would mean reversing.
-    Where v' is negative the vehicle stops after its remaining braking distance v²/(−2a), with v' = 0 and a' =
-    0.
+    The paper's equations have no standstill: in stop-and-go traffic, v' = v + a·Δt can become negative. The vehicle
+    then stops after its remaining braking distance v²/(−2a), with v' = 0 and a' = 0.
     """
     x, v, a = state.unbind(-1)
     reversing = next_state[..., 1] < 0
@@ -135,7 +140,7 @@ def stop_at_standstill(
 def stop_dubins_at_standstill(
     state: Float[Tensor, "*batch 6"], next_state: Float[Tensor, "*batch 6"]
 ) -> Float[Tensor, "*batch 6"]:
-    """The same for Dubins' car: its position moves by the speed before the step; a standing car does not turn."""
+    """Stop Dubins' car where it would reverse: v' = a' = ω' = 0, and θ' = θ. Its position moves with the speed v."""
     x, y, v, *_ = next_state.unbind(-1)
     zero = torch.zeros_like(v)
     stopped = torch.stack([x, y, zero, state[..., 3], zero, zero], -1)
@@ -179,13 +184,13 @@ _BY_NAME = {dynamics.name: dynamics for dynamics in (POINT_MASS_1D, DUBINS, POIN
 
 
 def dynamics_named(name: DynamicsName | str) -> Dynamics:
-    """The dynamics of that name; a ValueError lists the known ones."""
+    """The dynamics of that name. Raises `ValueError` if there are none of that name."""
     return _BY_NAME[DynamicsName(name)]
 
 
 def constant_speed(start: Float[Tensor, "B D"], steps: int, dynamics: Dynamics, dt: float) -> Float[Tensor, "B T D"]:
-    """States of a vehicle that goes straight on, at the start and after each of `steps` actions."""
-    kept = torch.tensor([float(name in ("x", "y", "v", "vx")) for name in dynamics.state])
+    """States of a vehicle that keeps its speed and drives straight on; T = `steps` + 1, with the start; `dt` in s."""
+    constant = torch.tensor([float(name in ("x", "y", "v", "vx")) for name in dynamics.state])
     travelled = start[:, dynamics.speed, None] * torch.arange(steps + 1) * dt
     along = torch.eye(start.shape[1])[dynamics.index("x")]
-    return (start * kept)[:, None] + travelled[..., None] * along
+    return (start * constant)[:, None] + travelled[..., None] * along

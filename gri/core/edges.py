@@ -1,13 +1,13 @@
-"""Types of edges, their vocabularies, and the order of ordered pairs; needs no torch.
+"""Edge types, their vocabularies, and the order of ordered pairs; needs no torch (Sec. IV, VI-C, VI-D).
 
-The E = N(N−1) ordered pairs stand in lexicographic order (sender, receiver); see `gri.core.graph`.
+The E = N(N−1) ordered pairs are in lexicographic order (sender, receiver); see `gri.core.graph`.
 """
 
 from enum import StrEnum
 
 
 class EdgeType(StrEnum):
-    """What the receiver does towards the sender (Sec. VI-C)."""
+    """How the receiver reacts to the sender (Sec. VI-C): it follows it, yields to it, or cuts in front of it."""
 
     NONE = "none"
     FOLLOW = "follow"
@@ -16,10 +16,13 @@ class EdgeType(StrEnum):
 
 
 Vocabulary = tuple[EdgeType, ...]
+"""The edge types of a model, in the order of their indices k; index 0 is `NONE`."""
 FOLLOWING: Vocabulary = (EdgeType.NONE, EdgeType.FOLLOW)
+"""Car following (Sec. VI-C)."""
 YIELDING: Vocabulary = (EdgeType.NONE, EdgeType.FOLLOW, EdgeType.YIELD)
-"""Lane changes in recorded traffic: without cutting in, as the paper has it (Sec. VI-D)."""
+"""Lane changes in recorded traffic, without cut-ins, as in the paper (Sec. VI-D)."""
 LANE_CHANGING: Vocabulary = (EdgeType.NONE, EdgeType.FOLLOW, EdgeType.YIELD, EdgeType.CUT_IN)
+"""Synthetic lane changing and merges (Sec. VI-C)."""
 
 
 def pairs(n: int) -> list[tuple[int, int]]:
@@ -28,7 +31,7 @@ def pairs(n: int) -> list[tuple[int, int]]:
 
 
 def vehicle_count(edges: int) -> int:
-    """N for a number of ordered pairs E = N(N−1)."""
+    """The number of vehicles N of E = N(N−1) ordered pairs."""
     n = int((1 + (1 + 4 * edges) ** 0.5) / 2)
     assert n * (n - 1) == edges, f"{edges} is not N(N-1) for any N"
     return n

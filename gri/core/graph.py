@@ -1,7 +1,7 @@
-"""Interaction graphs: a categorical variable on every ordered pair of vehicles.
+"""Interaction graphs: a distribution over edge types for every ordered pair of vehicles (Sec. III-A, IV).
 
-`z[i, j]` is the effect of vehicle i on vehicle j: with `z[1, 0] = FOLLOW`, vehicle 0 follows vehicle 1 (Sec.
-III-A, IV). The E = N(N−1) ordered pairs stand in lexicographic order (sender, receiver).
+`z[i, j]` is the effect of vehicle i (sender) on vehicle j (receiver): with `z[1, 0] = FOLLOW`, vehicle 0 follows
+vehicle 1. The E = N(N−1) ordered pairs are in lexicographic order (sender, receiver).
 """
 
 from collections.abc import Mapping
@@ -28,7 +28,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class InteractionGraph:
-    """Distributions over edge types; the vocabulary says what index k means."""
+    """Distributions over K edge types for E ordered pairs of B groups; the vocabulary gives the meaning of index k."""
 
     logits: Float[Tensor, "B E K"]
     vocabulary: Vocabulary
@@ -38,19 +38,20 @@ class InteractionGraph:
 
     @classmethod
     def certain(cls, types: Int[Tensor, "B E"], vocabulary: Vocabulary) -> "InteractionGraph":
-        """A graph known for sure: all probability (up to e⁻³⁰) on the given type indices."""
+        """A graph with probability 1 (up to e⁻³⁰) on the given type indices."""
         return cls((torch.nn.functional.one_hot(types, len(vocabulary)).float() - 1) * 30, vocabulary)
 
     @classmethod
     def of_edges(
         cls, edges: Mapping[tuple[int, int], EdgeType], vocabulary: Vocabulary, n: int = 3, batch: int = 1
     ) -> "InteractionGraph":
-        """The certain graph in which the named pairs (sender, receiver) have the named type and all others none."""
+        """The certain graph of n vehicles from `{(sender, receiver): type}`; other pairs have type none."""
         types = [vocabulary.index(edges.get(pair, EdgeType.NONE)) for pair in pairs(n)]
         return cls.certain(torch.tensor([types] * batch), vocabulary)
 
     @property
     def probs(self) -> Float[Tensor, "B E K"]:
+        """Probabilities of the edge types."""
         return self.logits.softmax(-1)
 
     @property
@@ -60,11 +61,11 @@ class InteractionGraph:
 
     @property
     def one_hot(self) -> Float[Tensor, "B E K"]:
-        """The MAP graph as one-hot vectors."""
+        """The most probable graph as one-hot vectors."""
         return torch.nn.functional.one_hot(self.map, self.logits.shape[-1]).to(self.logits.dtype)
 
     def sample(self, generator: torch.Generator, temperature: float = 0.5) -> Float[Tensor, "B E K"]:
-        """Straight-through Gumbel-softmax: exact one-hot samples whose gradient is the relaxed sample's."""
+        """Straight-through Gumbel-softmax: one-hot samples with the gradient of the relaxed samples."""
         uniform = torch.rand(self.logits.shape, generator=generator, dtype=self.logits.dtype)
         gumbel = -torch.log(-torch.log(uniform.clamp(1e-9, 1 - 1e-7)))
         soft = ((self.logits + gumbel) / temperature).softmax(-1)
@@ -72,13 +73,15 @@ class InteractionGraph:
         return hard + soft - soft.detach()
 
     def __len__(self) -> int:
+        """B, the number of groups."""
         return self.logits.shape[0]
 
     def __getitem__(self, scenes: Tensor | slice) -> "InteractionGraph":
+        """The graphs of the selected groups."""
         return InteractionGraph(self.logits[scenes], self.vocabulary)
 
     def edges(self, scene: int = 0) -> dict[tuple[int, int], tuple[EdgeType, float]]:
-        """MAP type and its probability of every pair that is not `none`, for one scene."""
+        """`{(sender, receiver): (most probable type, its probability)}` of one group, without pairs of type none."""
         types, probs = self.map[scene].tolist(), self.probs[scene].tolist()
         return {
             pair: (self.vocabulary[k], p[k])
@@ -88,7 +91,7 @@ class InteractionGraph:
 
 
 def incoming(graph: Int[Tensor, "B E"], vehicle: int, vehicles: int) -> tuple[list[int], Int[Tensor, "B S"]]:
-    """The other vehicles, and the types of their edges into this one."""
+    """The other vehicles, and the type indices of their edges into this one."""
     others = [other for other in range(vehicles) if other != vehicle]
-    places = [pairs(vehicles).index((other, vehicle)) for other in others]
-    return others, graph[:, places]
+    edges = [pairs(vehicles).index((other, vehicle)) for other in others]
+    return others, graph[:, edges]

@@ -1,4 +1,4 @@
-"""Small building blocks the networks share."""
+"""Building blocks that the networks share: fully connected layers, and the ends of edges as indices."""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -11,7 +11,7 @@ from gri.core.graph import pairs
 
 
 def mlp(sizes: Sequence[int], last_scale: float = 1.0) -> nn.Sequential:
-    """Fully connected layers with SiLU between them; the last layer is linear, its start scaled by `last_scale`."""
+    """Fully connected layers with SiLU between them. Initial weights of the last layer are scaled by `last_scale`."""
     layers: list[nn.Module] = []
     for inputs, outputs in pairwise(sizes):
         layers += [nn.Linear(inputs, outputs), nn.SiLU()]
@@ -25,12 +25,12 @@ def mlp(sizes: Sequence[int], last_scale: float = 1.0) -> nn.Sequential:
 
 @cache_tensors
 def edge_ends(n: int) -> tuple[Tensor, Tensor]:
-    """Senders and receivers of the E ordered pairs of n vehicles, in the order of the edge axis."""
+    """Senders [E] and receivers [E] of the ordered pairs of n vehicles, in the order of the edge axis."""
     senders, receivers = zip(*pairs(n), strict=True)
     return torch.tensor(senders), torch.tensor(receivers)
 
 
 @cache_tensors
 def incidence(n: int) -> Tensor:
-    """Matrix [N, E] that sums messages over the edges that enter each vehicle."""
+    """Matrix [N, E] that sums values over the edges that enter each vehicle."""
     return nn.functional.one_hot(edge_ends(n)[1], n).T.float()

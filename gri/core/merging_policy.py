@@ -1,4 +1,4 @@
-"""A merging driver that needs no training: IDM along the road, gap acceptance and lane keeping across it."""
+"""A merging policy that needs no training: IDM along the road, gap acceptance and lane keeping across it."""
 
 from dataclasses import dataclass
 
@@ -13,63 +13,78 @@ from gri.core.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class MergingDriver:
-    """Vehicles right of the target lane (y < −width/2, its centre at y = 0) change to it when the gap is safe.
+    """Vehicles to the right of the target lane change into it when the gap is safe.
 
-    Everybody follows the next vehicle ahead in the target lane by `driver`; who is in the target lane also makes room
-    for one who is about to merge ahead, braking up to `courtesy`. A merger starts to move over when it has
-    `smallest_gap` to both neighbours there and neither it nor the one behind would have to brake harder than
-    `safe_deceleration` (the safety criterion of MOBIL, Kesting et al. 2007); else it stays in its lane. Across the road
-    the wanted lateral speed is `lateral_gain`·(y* − y), at most `lateral_speed`, and the heading follows with
+    The centre of the target lane is at y = 0; a vehicle with y < −width/2 is to the right of it. Every vehicle follows
+    the next vehicle ahead in the target lane by `driver`. A vehicle in the target lane also brakes, up to `courtesy`,
+    for a vehicle ahead that is still in the right lane. A merging vehicle starts its lane change if it has
+    `smallest_gap` to both neighbours in the target lane, and if neither it nor the lag vehicle would have to brake
+    harder than `safe_deceleration` (the safety criterion of MOBIL, Kesting et al. 2007). Else it stays in its lane.
+    The desired lateral speed is `lateral_gain`·(y* − y), at most `lateral_speed`. The heading follows with
     `heading_gain`.
     """
 
     driver: IntelligentDriver
-    width: float = 3.66  # [m], of a lane
-    smallest_gap: float = 1.0  # [m], net
-    safe_deceleration: float = 3.0  # [m/s^2]
-    courtesy: float = 2.0  # [m/s^2]
-    lateral_speed: float = 1.2  # [m/s]
-    lateral_gain: float = 0.7  # [1/s]
-    heading_gain: float = 2.5  # [1/s]
-    greatest_heading: float = 0.2  # [rad]
+    width: float = 3.66
+    """Width of a lane [m]."""
+    smallest_gap: float = 1.0
+    """Least net gap to both neighbours [m]."""
+    safe_deceleration: float = 3.0
+    """[m/s²]."""
+    courtesy: float = 2.0
+    """Largest deceleration for a vehicle that still has to merge [m/s²]."""
+    lateral_speed: float = 1.2
+    """[m/s]."""
+    lateral_gain: float = 0.7
+    """[1/s]."""
+    heading_gain: float = 2.5
+    """[1/s]."""
+    greatest_heading: float = 0.2
+    """[rad]."""
     dynamics: Dynamics = DUBINS
     history_steps: int = 1
 
     @property
     def dt(self) -> float:
+        """Time between two actions [s]."""
         return self.driver.dt
 
     def begin(self, history: Trajectory) -> PolicyState:
-        return PolicyState(None, history.state.new_zeros(*history.state.shape[:2], 0))
+        """Nothing to infer."""
+        return PolicyState.empty(history)
 
     def act(self, memory: PolicyState, state: Float[Tensor, "B N 6"]) -> tuple[Float[Tensor, "B N 2"], PolicyState]:
+        """Jerk and yaw acceleration of every vehicle."""
         x, y, v, heading, a, yaw_rate = state.unbind(-1)
-        there = y > -0.5 * self.width
+        merged = y > -0.5 * self.width
         ahead = x[:, None, :] - x[:, :, None]  # Shape: (B, vehicle, other)
-        distance = torch.where(there[:, None, :], ahead, torch.nan)
+        distance = torch.where(merged[:, None, :], ahead, torch.nan)
         target, headway = self._following(distance, v)
         with_mergers, _ = self._following(ahead, v)
-        making_room = torch.minimum(target, with_mergers.clamp(min=-self.courtesy))
-        target = torch.where(there, making_room, target)
+        yielding = torch.minimum(target, with_mergers.clamp(min=-self.courtesy))
+        target = torch.where(merged, yielding, target)
         safe = self._safe(distance, v, headway) & (target >= -self.safe_deceleration)
-        wanted_y = torch.where(there | safe, torch.zeros_like(y), -self.width)
-        lateral = (self.lateral_gain * (wanted_y - y)).clamp(-self.lateral_speed, self.lateral_speed)
-        wanted_heading = torch.asin((lateral / v.clamp(min=1.0)).clamp(-0.9, 0.9))
-        wanted_heading = wanted_heading.clamp(-self.greatest_heading, self.greatest_heading)
-        wanted_yaw = self.heading_gain * (wanted_heading - heading)
-        return torch.stack([target - a, wanted_yaw - yaw_rate], -1) / self.dt, memory
+        desired_y = torch.where(merged | safe, torch.zeros_like(y), -self.width)
+        lateral = (self.lateral_gain * (desired_y - y)).clamp(-self.lateral_speed, self.lateral_speed)
+        desired_heading = torch.asin((lateral / v.clamp(min=1.0)).clamp(-0.9, 0.9))
+        desired_heading = desired_heading.clamp(-self.greatest_heading, self.greatest_heading)
+        desired_yaw_rate = self.heading_gain * (desired_heading - heading)
+        return torch.stack([target - a, desired_yaw_rate - yaw_rate], -1) / self.dt, memory
 
     def _following(
         self, ahead: Float[Tensor, "B N N"], v: Float[Tensor, "B N"]
     ) -> tuple[Float[Tensor, "B N"], Float[Tensor, "B N"]]:
-        """Acceleration behind the nearest vehicle ahead, and the headway to it."""
+        """Acceleration behind the nearest vehicle ahead [m/s²], and the headway to it [m]; infinite if there is none.
+
+        `ahead` [m] is the headway from each vehicle to each other, nan where the other does not count.
+        """
         headway, leader = torch.where(ahead > 0, ahead, torch.inf).min(-1)
         return self.driver.target_acceleration(v, v.gather(1, leader), headway), headway
 
     def _safe(
         self, distance: Float[Tensor, "B N N"], v: Float[Tensor, "B N"], headway: Float[Tensor, "B N"]
     ) -> Bool[Tensor, "B N"]:
-        """Whether a vehicle finds room in the target lane, and the one behind it there can take it."""
+        """Whether the gap in the target lane is large enough, and the lag vehicle there need not brake too hard."""
         behind, follower = torch.where(distance <= 0, -distance, torch.inf).min(-1)
         needed = self.driver.length + self.smallest_gap
         braking = self.driver.target_acceleration(v.gather(1, follower), v, behind)

@@ -1,8 +1,7 @@
-"""The Policy protocol and the policies that need no training.
+"""The Policy protocol, and two policies that need no training: constant velocity and the intelligent driver model.
 
-A policy sees the history of B groups once (`begin`) and then, step by step, their current state (`act`).
-Whoever runs it moves the vehicles with the policy's dynamics and decides which of them the action is applied
-to.
+A policy reads the history of B groups once (`begin`), and then at each step their current states (`act`). The caller
+moves the vehicles with the policy's dynamics, and decides to which of them an action is applied.
 """
 
 from collections.abc import Sequence
@@ -20,18 +19,24 @@ from gri.core.trajectory import Trajectory
 
 @dataclass(frozen=True)
 class PolicyState:
-    """What a policy remembers of B groups: the graph it believes in and a memory; None: it has no notion of graphs.
-
-    `memory` is whatever recurrent state the policy keeps, H = 0 where it keeps none.
-    """
+    """What a policy keeps from step to step for B groups of N vehicles."""
 
     graph: InteractionGraph | None
+    """The graph under which it drives; None for a policy without a graph."""
     memory: Float[Tensor, "B N H"]
+    """Hidden state per vehicle; H = 0 for a policy without one."""
+
+    @classmethod
+    def empty(cls, history: Trajectory) -> "PolicyState":
+        """The state of a policy with neither graph nor hidden state."""
+        return cls(None, history.state.new_zeros(*history.state.shape[:2], 0))
 
     def __len__(self) -> int:
+        """B, the number of groups."""
         return self.memory.shape[0]
 
     def __getitem__(self, groups: Int[Tensor, " G"] | slice) -> "PolicyState":
+        """The state of the selected groups."""
         return PolicyState(None if self.graph is None else self.graph[groups], self.memory[groups])
 
     @classmethod
@@ -44,11 +49,11 @@ class PolicyState:
 
 @runtime_checkable
 class Policy(Protocol):
-    """Anything that can drive groups."""
+    """Anything that drives groups of vehicles."""
 
     @property
     def dynamics(self) -> Dynamics:
-        """Layout of the states it reads and of the actions it gives."""
+        """Layout and units of the states it reads and of the actions it gives."""
         ...
 
     @property
@@ -58,35 +63,33 @@ class Policy(Protocol):
 
     @property
     def history_steps(self) -> int:
-        """How many past states, the current one included, `begin` must be given."""
+        """Number of past states, with the current one, that `begin` needs."""
         ...
 
     def begin(self, history: Trajectory) -> PolicyState:
-        """Watch the history of B groups; its last state is the one `act` is first called with."""
+        """Read the history of B groups. Its last state is the first state that `act` is called with."""
         ...
 
     def act(self, memory: PolicyState, state: Float[Tensor, "B N D"]) -> tuple[Float[Tensor, "B N A"], PolicyState]:
-        """The (mean) action of every vehicle, and the memory for the next step."""
+        """The mean action of every vehicle in SI units, and the policy state for the next step."""
         ...
-
-
-def _no_memory(history: Trajectory) -> PolicyState:
-    return PolicyState(None, history.state.new_zeros(*history.state.shape[:2], 0))
 
 
 @dataclass(frozen=True)
 class ConstantVelocity:
-    """Ends all acceleration (and turning) at once and keeps speed and heading.
+    """A policy that keeps speed and heading: it brings acceleration and yaw rate to 0 in one step.
 
     For dynamics whose actions are the rates of their last state features: the 1-D point mass and Dubins' car.
     """
 
     dt: float
+    """Time between two actions [s]."""
     dynamics: Dynamics = POINT_MASS_1D
     history_steps: int = 1
 
     def begin(self, history: Trajectory) -> PolicyState:
-        return _no_memory(history)
+        """Nothing to infer."""
+        return PolicyState.empty(history)
 
     def act(self, memory: PolicyState, state: Float[Tensor, "B N D"]) -> tuple[Float[Tensor, "B N A"], PolicyState]:
         return -state[..., -len(self.dynamics.action) :] / self.dt, memory
@@ -94,25 +97,33 @@ class ConstantVelocity:
 
 @dataclass(frozen=True)
 class IntelligentDriver:
-    """The intelligent driver model behind the nearest vehicle ahead in the group (Treiber et al. 2000).
+    """The intelligent driver model (Treiber et al. 2000) behind the nearest vehicle ahead in the group.
 
-    a = a_max·[1 − (v/v0)⁴ − (s*/s)²],  s* = s0 + max(0, v·T + v·Δv / (2√(a_max·b))), with the net gap s = Δx
-    − length. The jerk brings next step's acceleration to that value. Defaults: means of the IDM population
-    fitted to the US-101 recordings, `desired_speed` the 65 mph posted on California freeways.
+    a = a_max·[1 − (v/v0)⁴ − (s*/s)²],  s* = s0 + max(0, v·T + v·Δv / (2√(a_max·b))), with the net gap s = Δx − length.
+    The jerk brings the acceleration of the next step to this value. The defaults are means over IDM drivers fitted to
+    the US-101 recordings; the desired speed is the speed limit of California freeways, 65 mph.
     """
 
     dt: float
-    length: float = 5.0  # [m], of the vehicle ahead
-    desired_speed: float = 29.0  # [m/s]
-    time_headway: float = 1.29  # [s]
-    minimum_gap: float = 2.02  # [m]
-    acceleration: float = 1.11  # [m/s^2]
-    deceleration: float = 1.69  # [m/s^2], comfortable
+    """Time between two actions [s]."""
+    length: float = 5.0
+    """Length of the vehicle ahead [m]."""
+    desired_speed: float = 29.0
+    """v0 [m/s]."""
+    time_headway: float = 1.29
+    """T [s]."""
+    minimum_gap: float = 2.02
+    """s0 [m]."""
+    acceleration: float = 1.11
+    """a_max [m/s²]."""
+    deceleration: float = 1.69
+    """b, the comfortable deceleration [m/s²]."""
     dynamics: Dynamics = POINT_MASS_1D
     history_steps: int = 1
 
     def begin(self, history: Trajectory) -> PolicyState:
-        return _no_memory(history)
+        """Nothing to infer."""
+        return PolicyState.empty(history)
 
     def act(self, memory: PolicyState, state: Float[Tensor, "B N 3"]) -> tuple[Float[Tensor, "B N 1"], PolicyState]:
         x, v, a = state.unbind(-1)
@@ -125,10 +136,10 @@ class IntelligentDriver:
     def target_acceleration(
         self, v: Float[Tensor, "*batch"], v_ahead: Float[Tensor, "*batch"], headway: Float[Tensor, "*batch"]
     ) -> Float[Tensor, "*batch"]:
-        """a [m/s²] at a headway [m], position to position, behind a vehicle; infinite: on an empty road."""
+        """a [m/s²], at least −9, behind a vehicle at a headway [m] between positions; inf is an empty road."""
         gap = (headway - self.length).clamp(min=0.1)
         dynamic_gap = v * self.time_headway + v * (v - v_ahead) / (2 * (self.acceleration * self.deceleration) ** 0.5)
-        wanted_gap = self.minimum_gap + dynamic_gap.clamp(min=0)
-        interaction = torch.where(torch.isinf(headway), torch.zeros_like(gap), (wanted_gap / gap) ** 2)
+        desired_gap = self.minimum_gap + dynamic_gap.clamp(min=0)
+        interaction = torch.where(torch.isinf(headway), torch.zeros_like(gap), (desired_gap / gap) ** 2)
         target = self.acceleration * (1 - (v / self.desired_speed) ** 4 - interaction)
-        return target.clamp(min=-9.0)  # the road gives no more
+        return target.clamp(min=-9.0)  # [m/s²], the friction limit of the road

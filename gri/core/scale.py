@@ -1,17 +1,21 @@
-"""Units in which the networks see states and give actions."""
+"""Units in which the networks read states and give actions."""
 
 import msgspec
 
 
 class Scale(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A network sees (state − offset) / unit and answers in `action` units. One number per feature, SI units.
+    """A network reads (state − offset) / unit, and its output is multiplied by `action`.
 
-    The offset of the position plays no part: networks see positions relative to each other only.
+    One number per feature, in SI units. The offset of the position has no effect: networks read positions relative to
+    each other only.
     """
 
     offset: tuple[float, ...]
+    """Of the D state features."""
     unit: tuple[float, ...]
+    """Of the D state features."""
     action: tuple[float, ...]
+    """Of the A action features."""
 
 
 CAR_FOLLOWING_PAPER = Scale(offset=(0.0, 5.0, 0.0), unit=(5.0, 2.0, 1.0), action=(1.0,))

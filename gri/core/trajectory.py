@@ -1,4 +1,4 @@
-"""Trajectory: what a scene's vehicles did."""
+"""Trajectory: the states of the vehicles of a scene over time."""
 
 from dataclasses import dataclass
 
@@ -9,10 +9,10 @@ from torch import Tensor
 
 @dataclass(frozen=True)
 class Trajectory:
-    """States of N agents over T instants, for B scenes.
+    """States of N vehicles at T instants, for B scenes.
 
-    `state` is in the layout of the dynamics it is used with (SI units). `valid` says which entries exist;
-    entries that do not exist hold zeros. `dt` [s] is the sampling time.
+    `state` has the layout of the dynamics that it is used with, in SI units. `valid` says which states exist; missing
+    states are zeros. `dt` is the sampling time [s].
     """
 
     state: Float[Tensor, "B N T D"]
@@ -25,18 +25,21 @@ class Trajectory:
 
     @classmethod
     def complete(cls, state: Float[Tensor, "B N T D"], dt: float) -> "Trajectory":
-        """A trajectory in which every agent exists at every instant."""
+        """A trajectory in which every vehicle exists at every instant."""
         return cls(state, torch.ones(state.shape[:3], dtype=torch.bool, device=state.device), dt)
 
     @property
     def initial(self) -> Float[Tensor, "B N D"]:
+        """The first states."""
         return self.state[:, :, 0]
 
     @property
     def final(self) -> Float[Tensor, "B N D"]:
+        """The last states."""
         return self.state[:, :, -1]
 
     def __len__(self) -> int:
+        """B, the number of scenes."""
         return self.state.shape[0]
 
     def __getitem__(self, scenes: Tensor | slice) -> "Trajectory":

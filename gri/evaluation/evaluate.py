@@ -70,7 +70,7 @@ def driving_graph(model: RelationalModel, scenes: Scenes) -> InteractionGraph:
     """The graph that a model drives by: the inferred one, or the true one for the Supervised baseline."""
     if model.encoder is None and model.config.told_graph:
         return InteractionGraph.certain(scenes.graph, model.config.vocabulary)
-    return model.infer(scenes.seen[:, :, : model.history_steps])
+    return model.infer(scenes.observed[:, :, : model.history_steps])
 
 
 def graph_of_paper(vocabulary: Vocabulary) -> Int[Tensor, " E"]:

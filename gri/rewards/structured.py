@@ -1,9 +1,10 @@
-"""Structured rewards: what each relation asks of a vehicle, as a weighted sum of named terms (Sec. IV, VI-C).
+"""The structured reward: a weighted sum of named terms per vehicle and edge type (Sec. IV, VI-C), and its shaped form.
 
     r_j = −Σ_m (1 + e^ξ_m)·f_m(x_j, a_j) − Σ_{i≠j} Σ_{k≥1} 1(z_ij = k) Σ_m (1 + e^ψ_km)·g_km(x_i, x_j)
 
-The "1 +" forces every term to be used and thereby fixes the units in which terms are measured: term m is
-divided by `unit²`, e.g. g_IDM by (5 m)², and the sum is multiplied by `temperature`. Type 0 pays nothing.
+The "1 +" forces every term to be used, so that the units of the terms matter: term m is divided by its unit, e.g. g_IDM
+by (5 m)². The sum is multiplied by the temperature. The reward of edge type 0 is 0. `gri.rewards.terms` lists all terms
+by scenario and edge type.
 """
 
 from collections.abc import Mapping
@@ -26,8 +27,9 @@ from gri.rewards.unstructured import NetworkReward
 
 
 class StructuredReward(nn.Module):
-    """The reward with its weights; `psi` holds one vector per relation and one, "node", for the vehicle
-    alone.
+    """The reward with its weights: `psi` has one vector for the vehicle alone, "node", and one per edge type.
+
+    `log_alpha` is the logarithm of the drivers' rationality, which multiplies the reward in likelihoods of actions.
     """
 
     def __init__(self, config: AnyRewardConfig) -> None:
@@ -41,9 +43,9 @@ class StructuredReward(nn.Module):
 
     @classmethod
     def with_weights(cls, config: AnyRewardConfig, weights: Mapping[str, Mapping[str, float]]) -> "StructuredReward":
-        """The reward with given weights 1 + e^ψ, each above 1; those of other groups are 2.
+        """The reward with given weights 1 + e^ψ per group ("node" or an edge type); weights of other groups are 2.
 
-        Errors: `InputError` where a group is unknown, the names are not those of its terms, or a weight is not above 1.
+        Raises `InputError` if a group is unknown, if the names are not those of its terms, or if a weight is 1 or less.
         """
         reward = cls(config)
         for group, values in weights.items():
@@ -52,41 +54,44 @@ class StructuredReward(nn.Module):
                 raise InputError(f"got weights of {group}: {', '.join(values)}; wanted all terms of one of {wanted}")
             excess = torch.tensor([values[name] for name in reward.names(group)]) - 1
             if not (excess > 0).all():
-                raise InputError(f"got weights of {group}: {dict(values)}; they are 1 + e^psi, wanted all above 1")
+                raise InputError(f"got weights of {group}: {dict(values)}; weights are 1 + e^psi, wanted all above 1")
             reward.psi[group].data = excess.log()
         return reward
 
     def in_double(self) -> "StructuredReward":
-        """A fixed copy in double precision: line searches stall on rounding errors."""
+        """A copy in double precision with fixed weights: in single precision, rounding errors stop line searches."""
         copy = StructuredReward(self.config)
         copy.load_state_dict(self.state_dict())
         return copy.double().requires_grad_(False)
 
     def names(self, group: str) -> tuple[str, ...]:
+        """Names of the terms of a group: "node" or an edge type."""
         return tuple(self.terms.node if group == "node" else self.terms.edge[EdgeType(group)])
 
     def weights(self, group: str) -> Float[Tensor, " terms"]:
-        """temperature · (1 + e^ψ)."""
+        """temperature·(1 + e^ψ) of the terms of a group."""
         return self.config.temperature * (1 + self.psi[group].exp())
 
     def node_features(
         self, state: Float[Tensor, "*batch D"], action: Float[Tensor, "*batch A"]
     ) -> Float[Tensor, "*batch terms"]:
+        """The terms of the vehicle alone, before their weights."""
         return torch.stack([term(state, action) for term in self.terms.node.values()], -1)
 
     def edge_features(
         self, kind: EdgeType, sender: Float[Tensor, "*batch D"], receiver: Float[Tensor, "*batch D"]
     ) -> Float[Tensor, "*batch terms"]:
+        """The terms of one edge type, before their weights."""
         return torch.stack([term(sender, receiver) for term in self.terms.edge[kind].values()], -1)
 
     def of_vehicles(self, state: Float[Tensor, "B N T D"], action: Float[Tensor, "B N T A"]) -> Float[Tensor, "B N T"]:
-        """r^n of every vehicle and step."""
+        """r^n, the reward of every vehicle alone, at every step."""
         return -self.node_features(state, action) @ self.weights("node")
 
     def of_edges(
         self, sender: Float[Tensor, "B E T D"], receiver: Float[Tensor, "B E T D"]
     ) -> Float[Tensor, "B E T K"]:
-        """r^{e,k} of every ordered pair, step and type; 0 for the types without terms."""
+        """r^{e,k} of every ordered pair, step and edge type; 0 for types without terms."""
         zero = torch.zeros_like(sender[..., 0])
         return torch.stack(
             [
@@ -103,8 +108,10 @@ class StructuredReward(nn.Module):
         graph: Float[Tensor, "B E K"],
         cooperative: bool = True,
     ) -> Float[Tensor, "B N T"]:
-        """r_j of every vehicle and step; linear in the graph. Not cooperative: no gradient to the vehicle
-        ahead.
+        """r_j of every vehicle and step, linear in the one-hot or soft graph.
+
+        Without `cooperative`, there is no gradient through the states of senders: a vehicle does not change its motion
+        to improve the reward of others.
         """
         senders, receivers = edge_ends(vehicle_count(graph.shape[1]))
         sent = state[:, senders] if cooperative else state[:, senders].detach()
@@ -113,10 +120,10 @@ class StructuredReward(nn.Module):
 
 
 class ShapedReward(nn.Module):
-    """f = r + h(x') − h(x), with one potential for the vehicle and one per relation, and a constant (Sec.
-    V-A).
+    """The shaped reward f = r + h(x') − h(x) of the discriminator (Sec. V-A, equations node_reward and edge_reward).
 
-    The constant stands in for the logarithm of the partition function, which potentials cannot express.
+    There is one potential h for the vehicle alone and one per edge type, and a learned constant. The constant takes the
+    place of the logarithm of the partition function, which potentials cannot express.
     """
 
     offset: Tensor
@@ -134,7 +141,7 @@ class ShapedReward(nn.Module):
         self.bias = nn.Parameter(torch.zeros(()))
 
     def potentials(self, state: Float[Tensor, "B N T D"]) -> tuple[Float[Tensor, "B N T"], Float[Tensor, "B E T K"]]:
-        """h^n of every vehicle and h^{e,k} of every pair, 0 for type 0; positions as differences only."""
+        """h^n of every vehicle and h^{e,k} of every pair (0 for type 0); they read positions as differences only."""
         senders, receivers = edge_ends(state.shape[1])
         scaled = (state - self.offset) / self.unit
         gap = (state[:, senders, :, :1] - state[:, receivers, :, :1]) / self.unit[0]
@@ -143,7 +150,7 @@ class ShapedReward(nn.Module):
         return self.vehicle(scaled[..., 1:])[..., 0], torch.cat([torch.zeros_like(edges[..., :1]), edges], -1)
 
     def edges(self, state: Float[Tensor, "B N T D"]) -> Float[Tensor, "B E T-1 K"]:
-        """f^{e,k} of every pair, step and type."""
+        """f^{e,k} of every ordered pair, step and edge type."""
         senders, receivers = edge_ends(state.shape[1])
         potential = self.potentials(state)[1]
         rewards = self.reward.of_edges(state[:, senders, :-1], state[:, receivers, :-1])

@@ -1,4 +1,10 @@
-"""The named terms of each scenario's structured reward: which features it sums, and in which units."""
+"""The list of reward terms: every named term of every scenario, with its feature and its unit (Sec. VI-C, VI-D).
+
+Where to find a term: `car_following_terms` (synthetic car following), `lane_changing_terms` (synthetic lane changing;
+the term for yielding is "yield", `lane_changing_features.g_yield`), `naturalistic_terms` (recorded traffic; yielding is
+"spatial" and "time", `recorded_traffic_features.g_spatial` and `g_time`). A term is a feature divided by its unit
+(squared for squares). `structured.StructuredReward` weighs and sums the terms.
+"""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -13,30 +19,37 @@ from gri.rewards.car_following_features import FollowingConstants
 from gri.rewards.lane_changing_features import LaneConstants
 from gri.rewards.recorded_traffic_features import ReferenceNetworks, References, collision_point, g_spatial, g_time
 
-NodeTerm = Callable[[Tensor, Tensor], Tensor]  # (state, action) of one vehicle
-EdgeTerm = Callable[[Tensor, Tensor], Tensor]  # states of sender and receiver
+NodeTerm = Callable[[Tensor, Tensor], Tensor]
+"""(state [*batch, D], action [*batch, A]) of one vehicle -> term [*batch]."""
+EdgeTerm = Callable[[Tensor, Tensor], Tensor]
+"""States [*batch, D] of sender and receiver -> term [*batch]."""
 
 
 @dataclass(frozen=True)
 class Terms:
-    """The named terms of a scenario: of a vehicle alone, and of each type of relation."""
+    """The named terms of a scenario: of a vehicle alone (r^n), and of each edge type (r^{e,k})."""
 
     node: Mapping[str, NodeTerm]
     edge: Mapping[EdgeType, Mapping[str, EdgeTerm]]
 
 
 class Units(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A term's value at one unit counts 1 before its weight."""
+    """Units of the terms. A squared feature has the value 1 (before its weight) at one unit."""
 
-    gap: float = 1.0  # [m]
-    collision: float = 1.0  # [-]
-    speed: float = 1.0  # [m/s]
-    acceleration: float = 1.0  # [m/s^2]
-    jerk: float = 1.0  # [m/s^3]
+    gap: float = 1.0
+    """Of headways [m]."""
+    collision: float = 1.0
+    """Of g_dist [-]."""
+    speed: float = 1.0
+    """[m/s]."""
+    acceleration: float = 1.0
+    """[m/s²]."""
+    jerk: float = 1.0
+    """[m/s³]."""
 
 
 class RewardConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Constants, units and temperature of the car-following reward."""
+    """Constants, units and temperature of the car-following reward; the temperature multiplies all weights."""
 
     constants: FollowingConstants = FollowingConstants()
     units: Units = Units()
@@ -46,15 +59,20 @@ class RewardConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
 class LaneUnits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Units of the lateral terms."""
 
-    lateral: float = 1.0  # [m]
-    heading: float = 0.1  # [rad]
-    yaw_rate: float = 0.1  # [rad/s]
-    yaw_acceleration: float = 0.1  # [rad/s^2]
-    lane: float = 1.0  # [-]
+    lateral: float = 1.0
+    """[m]."""
+    heading: float = 0.1
+    """[rad]."""
+    yaw_rate: float = 0.1
+    """[rad/s]."""
+    yaw_acceleration: float = 0.1
+    """[rad/s²]."""
+    lane: float = 1.0
+    """Of f_lane [-]."""
 
 
 class LaneRewardConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Constants, units and temperature of the lane-changing reward."""
+    """Constants, units and temperature of the lane-changing reward; the temperature multiplies all weights."""
 
     constants: LaneConstants = LaneConstants()
     units: Units = Units()
@@ -63,7 +81,10 @@ class LaneRewardConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
 
 
 def car_following_terms(config: RewardConfig) -> Terms:
-    """r^n: speed limit, acceleration, jerk. r^{e,1}: g_IDM, g_dist (Sec. VI-C without the lateral terms)."""
+    """Terms of synthetic car following (Sec. VI-C, without the lateral terms).
+
+    Vehicle alone: f_v, a², δa². Follow: g_IDM, g_dist.
+    """
     constants, units = config.constants, config.units
     return Terms(
         node={
@@ -85,8 +106,10 @@ def car_following_terms(config: RewardConfig) -> Terms:
 
 
 def lane_changing_terms(config: LaneRewardConfig) -> Terms:
-    """r^n: f_v, a², θ², ω², δa², δω², f_lane. Follow: g_IDM, g_dist, g_lat. Yield: g_yield, g_dist. Cut-in: both
-    with the arguments switched (Sec. VI-C).
+    """Terms of synthetic lane changing (Sec. VI-C).
+
+    Vehicle alone: f_v, a², θ², ω², δa², δω², f_lane. Follow: g_IDM, g_dist, g_lat. Yield: g_yield, g_dist. Cut-in:
+    g_goal and g_dist with the arguments switched.
     """
     c, units, lateral = config.constants, config.units, config.lane_units
     gap, collision = units.gap**2, units.collision**2
@@ -119,35 +142,41 @@ def lane_changing_terms(config: LaneRewardConfig) -> Terms:
 
 
 class NaturalisticConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="naturalistic"):
-    """The rewards of recorded traffic, whose references are learned (Sec. VI-D)."""
+    """The reward of recorded traffic, with learned reference networks (Sec. VI-D)."""
 
     lanes: bool = False
-    """Lane changing of 2-D point masses, with yielding; else car following."""
+    """True: lane changing of 2-D point masses, with yielding. False: car following of 1-D point masses."""
     references: References = References()
     units: Units = Units(gap=5.0, speed=2.0)
-    lateral: float = 1.0  # [m]
-    lateral_speed: float = 0.5  # [m/s]
-    time: float = 1.0  # [s]
+    lateral: float = 1.0
+    """Unit of the distance to the centre of the target lane [m]."""
+    lateral_speed: float = 0.5
+    """Unit of the lateral speed [m/s]."""
+    time: float = 1.0
+    """Unit of g_time [s]."""
     temperature: float = 1.0
+    """Multiplies all weights."""
 
 
 AnyRewardConfig = RewardConfig | LaneRewardConfig | NaturalisticConfig
 
 
 def naturalistic_terms(config: NaturalisticConfig, h: ReferenceNetworks) -> Terms:
-    """r^n: f_v, a², jerk²; follow: g_v, g_s. With lanes also: the target lane at y = 0, lateral speed, acceleration and
-    jerk squared; yield: g_spatial, g_time.
+    """Terms of recorded traffic (Sec. VI-D), with the reference networks `h`.
+
+    Vehicle alone: f_v, a², jerk². Follow: g_v, g_s. With lanes also, for the vehicle alone, the squares of y (the
+    target lane is at y = 0), of lateral speed, lateral acceleration and lateral jerk; and yield: g_spatial, g_time.
     """
     units = config.units
     v, a = (2, 4) if config.lanes else (1, 2)  # in the states of the 2-D and the 1-D point mass
 
     def g_v(sender: Tensor, receiver: Tensor) -> Tensor:
-        wanted = h.speed(sender[..., 0] - receiver[..., 0], sender[..., v])
-        return ((receiver[..., v] - wanted) / units.speed) ** 2
+        desired = h.speed(sender[..., 0] - receiver[..., 0], sender[..., v])
+        return ((receiver[..., v] - desired) / units.speed) ** 2
 
     def g_s(sender: Tensor, receiver: Tensor) -> Tensor:
-        wanted = h.headway(sender[..., v], receiver[..., v])
-        return ((wanted - sender[..., 0] + receiver[..., 0]).clamp(min=0) / units.gap) ** 2
+        desired = h.headway(sender[..., v], receiver[..., v])
+        return ((desired - sender[..., 0] + receiver[..., 0]).clamp(min=0) / units.gap) ** 2
 
     node: dict[str, NodeTerm] = {
         "speed": lambda state, action: ((state[..., v] - h.own_speed()) / units.speed) ** 2,
@@ -167,31 +196,32 @@ def naturalistic_terms(config: NaturalisticConfig, h: ReferenceNetworks) -> Term
 
 
 def _yield_terms(config: NaturalisticConfig, h: ReferenceNetworks) -> dict[str, EdgeTerm]:
+    """Yielding in recorded lane changes: g_spatial and g_time."""
     c = config.references
 
-    def meeting(sender: Tensor, receiver: Tensor) -> tuple[Tensor, Tensor]:
+    def point_of_collision(sender: Tensor, receiver: Tensor) -> tuple[Tensor, Tensor]:
         return collision_point(sender[..., :4], receiver[..., :4], c.collision_range, c.overlap)
 
     def spatial(sender: Tensor, receiver: Tensor) -> Tensor:
-        point, counts = meeting(sender, receiver)
-        wanted = h.distance(sender[..., 2], receiver[..., 2])
-        return g_spatial(point, counts, receiver[..., :4], wanted, c.printed_yield) / config.units.gap**2
+        point, counts = point_of_collision(sender, receiver)
+        desired = h.distance(sender[..., 2], receiver[..., 2])
+        return g_spatial(point, counts, receiver[..., :4], desired, c.printed_yield) / config.units.gap**2
 
     def time(sender: Tensor, receiver: Tensor) -> Tensor:
-        point, counts = meeting(sender, receiver)
-        wanted = h.time(sender[..., 2], receiver[..., 2])
-        return g_time(point, counts, sender[..., :4], receiver[..., :4], wanted, c) / config.time**2
+        point, counts = point_of_collision(sender, receiver)
+        desired = h.time(sender[..., 2], receiver[..., 2])
+        return g_time(point, counts, sender[..., :4], receiver[..., :4], desired, c) / config.time**2
 
     return {"spatial": spatial, "time": time}
 
 
 def references_of(config: AnyRewardConfig) -> ReferenceNetworks | None:
-    """The networks that are learned with the weights; None where all terms are fixed."""
+    """The reference networks of a reward for recorded traffic; None for the other rewards."""
     return ReferenceNetworks(config.references, config.lanes) if isinstance(config, NaturalisticConfig) else None
 
 
 def terms_of(config: AnyRewardConfig, references: ReferenceNetworks | None = None) -> tuple[Terms, Vocabulary]:
-    """The terms of a scenario and the edge types they give a meaning to."""
+    """The terms of a scenario, and its edge types. Rewards of recorded traffic need their `references`."""
     match config:
         case NaturalisticConfig():
             assert references is not None, "learned terms need their networks"

@@ -1,7 +1,6 @@
 """Rewards without semantics, for the ablations GRI-VAIRL and GRI-AIRL (Appendix C).
 
-The terms of equations (node_reward) and (edge_reward) become networks. What stays is that type 0 pays
-nothing.
+Networks take the place of the terms in equations (node_reward) and (edge_reward). The reward of type 0 is still 0.
 """
 
 import torch
@@ -14,7 +13,7 @@ from gri.core.scale import Scale
 
 
 class NetworkReward(nn.Module):
-    """r^n(x_j, a_j) and r^{e,k}(x_i, x_j) as free functions; positions along the road enter as differences."""
+    """r^n(x_j, a_j) and r^{e,k}(x_i, x_j) as networks; positions along the road enter as differences."""
 
     offset: Tensor
     unit: Tensor
@@ -32,16 +31,16 @@ class NetworkReward(nn.Module):
     def of_vehicles(
         self, state: Float[Tensor, "*batch D"], action: Float[Tensor, "*batch A"]
     ) -> Float[Tensor, "*batch"]:
-        """r^n of every vehicle and step."""
+        """r^n, the reward of every vehicle alone."""
         return self.vehicle(torch.cat([self._scaled(state), action / self.action_unit], -1))[..., 0]
 
     def of_edges(
         self, sender: Float[Tensor, "*batch D"], receiver: Float[Tensor, "*batch D"]
     ) -> Float[Tensor, "*batch K"]:
-        """r^{e,k} of every ordered pair, step and type; 0 for type 0."""
+        """r^{e,k} of every ordered pair and edge type; 0 for type 0."""
         gap = (sender - receiver)[..., :1] / self.unit[0]
-        paid = self.relation(torch.cat([gap, self._scaled(sender), self._scaled(receiver)], -1))
-        return torch.cat([torch.zeros_like(paid[..., :1]), paid], -1)
+        reward = self.relation(torch.cat([gap, self._scaled(sender), self._scaled(receiver)], -1))
+        return torch.cat([torch.zeros_like(reward[..., :1]), reward], -1)
 
     def _scaled(self, state: Tensor) -> Tensor:
         return ((state - self.offset) / self.unit)[..., 1:]

@@ -58,9 +58,9 @@ def test_a_supervised_model_has_no_encoder(tmp_path: Path):
         ("[0.0, 3.0]", "[0.0]", 8, "field objective.shifts.position: .*length"),
         ("[0.0, 3.0]", "[0.0, x]", 8, r"field objective.shifts.position\[1\]: expected `float`, got `str`"),
         ("[0.0, 3.0]", "[0.0, 3.0", 9, "not valid YAML"),
-        ("graphs: one", "graphs: one\n  graphs: one", 4, "field graphs stands twice"),
+        ("graphs: one", "graphs: one\n  graphs: one", 4, "field graphs is given twice"),
         ("[0.0, 3.0]", "[0.0, .inf]", 8, "got .inf, expected a finite number"),
-        ("[0.0, 3.0]", "&a [0.0, *a]", 8, "refers to what contains it"),
+        ("[0.0, 3.0]", "&a [0.0, *a]", 8, "refers to content that contains it"),
     ],
 )
 def test_mistakes_are_named_with_line_and_field(tmp_path: Path, change: str, to: str, line: int, message: str):

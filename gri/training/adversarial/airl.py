@@ -145,14 +145,14 @@ def train_adversarial(
     for update in range(settings.updates):
         for chosen in batches(len(scenes), settings.batch, settings.reward_updates, generator):
             batch = scenes[chosen]
-            graph = model.infer(batch.seen)
+            graph = model.infer(batch.observed)
             z = graph.sample(generator)
             discriminated = discriminate(model, reward, batch, z.detach(), generator)
             reward_descent.step(discriminator_loss(discriminated.expert, discriminated.generated))
             if encoder is not None:
                 encoder.update(reward, batch, graph, z, discriminated)
         batch = scenes[torch.randint(0, len(scenes), (settings.batch,), generator=generator)]
-        value = policy_objective(model, reward, batch, model.infer(batch.seen), settings, generator)
+        value = policy_objective(model, reward, batch, model.infer(batch.observed), settings, generator)
         policy_descent.step(-value)
         progress("encoder, reward and policy", update + 1, settings.updates, float(value.detach()))
 
@@ -173,7 +173,7 @@ def pretrain(
     total = start.encoder_updates
     for update, chosen in enumerate(batches(len(scenes), settings.batch, total, generator)):
         batch = scenes[chosen]
-        graph = model.infer(batch.seen)
+        graph = model.infer(batch.observed)
         z = graph.sample(generator)
         loss = encoder.update(reward, batch, graph, z, discriminate(model, reward, batch, z.detach(), generator))
         progress("encoder", update + 1, total, loss)

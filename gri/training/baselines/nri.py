@@ -54,7 +54,7 @@ def train_nri(
     beta = 0.0
     for update, chosen in enumerate(batches(len(scenes), settings.batch, settings.updates, generator)):
         batch = scenes[chosen]
-        graph = model.infer(batch.seen)
+        graph = model.infer(batch.observed)
         driven = rollout(model, batch.start, graph.sample(generator, settings.temperature), batch.leader)
         error = reconstruction_loss(driven.state, batch.state, model.dynamics)
         if settings.action_weight:

@@ -148,7 +148,7 @@ def _infer_augmented(
 ) -> InteractionGraph:
     """The graphs that the encoder infers from augmented histories."""
     history = augment_histories(
-        scenes.seen, settings.augmentation, model.history_steps, generator, model.dynamics, model.dt
+        scenes.observed, settings.augmentation, model.history_steps, generator, model.dynamics, model.dt
     )
     return model.infer(history)
 

@@ -64,7 +64,7 @@ def test_a_scenario_survives_its_own_serialisation():
         ("rule: car_following", "rule: car_folowing", r"group.rule: invalid value 'car_folowing'"),
         ("net: us101\n", "", r"missing required field `net`"),
         ("origin: entry", "origin: entrance", r"origin 'entrance' is not among the road's edges"),
-        ("seed: 1\n", "seed: 1\nseed: 2\n", r"mine.yaml:\d+: field seed stands twice"),
+        ("seed: 1\n", "seed: 1\nseed: 2\n", r"mine.yaml:\d+: field seed is given twice"),
         ("seed: 1\n", "seed: [1\n", r"mine.yaml:\d+: not valid YAML"),
         ("traffic: us101_congested", "traffic: us101_congestd", r"did you mean 'us101_congested'\?"),
     ],

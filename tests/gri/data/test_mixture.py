@@ -32,7 +32,7 @@ def test_they_become_as_long_as_the_shorter_and_are_seen_for_as_long():
 def test_without_histories_the_scene_is_what_is_seen():
     both = mix_scenes(scenes(2, 45, None, 1.0), scenes(3, 30, None, 2.0))
     assert both.history is None
-    assert both.seen.shape == (5, 3, 30, 6)
+    assert both.observed.shape == (5, 3, 30, 6)
 
 
 def test_files_named_beside_a_synthetic_range_are_mixed_in(tmp_path: Path):
@@ -44,7 +44,7 @@ def test_files_named_beside_a_synthetic_range_are_mixed_in(tmp_path: Path):
     assert scenes_path(config, tmp_path) == scenes_path(alone, tmp_path)
     both = scenes_of(config, tmp_path)
     assert [len(part.state) for part in vars(both).values()] == [4, 2, 2]
-    assert torch.equal(both.train[:2].seen, made[:2].seen)
+    assert torch.equal(both.train[:2].observed, made[:2].observed)
     assert both.train.state.shape[2] == 40
 
 

@@ -40,4 +40,4 @@ def test_histories_are_kept(tmp_path: Path):
     again = read_scenes(next(tmp_path.iterdir()))
     assert splits.train.history is not None
     assert again.history is not None
-    assert torch.equal(again[:2].seen, splits.train.history)
+    assert torch.equal(again[:2].observed, splits.train.history)

@@ -27,7 +27,7 @@ def test_states_follow_from_actions_and_begin_where_the_history_ends(made: Scene
     torch.testing.assert_close(made.state[:, :2, 1:], moved, atol=1e-3, rtol=1e-3)
     assert made.history is not None
     assert torch.equal(made.history[:, :, -1], made.start)
-    assert made.seen is made.history
+    assert made.observed is made.history
     assert made.state[:, :2, :, 2].min() >= 0
 
 

@@ -47,7 +47,7 @@ def test_the_encoder_learns_what_it_is_told():
         encoder_lead=150, likelihood="stepwise",
     )  # fmt: skip
     train_labelled_encoder(model, reward, data, LabelledEncoderSettings(grounded=grounded), seed=0)
-    assert torch.equal(model.infer(data.seen).map, data.graph)
+    assert torch.equal(model.infer(data.observed).map, data.graph)
     assert any(not torch.equal(old, new) for old, new in zip(before, reward.psi.values(), strict=True))
 
 
@@ -59,7 +59,7 @@ def test_a_trained_policy_and_its_reward_stay_without_updates(tmp_path: Path):
     (model, reward), data = driver(), scenes()
     untold = GroundedSettings(updates=0, batch=8, encoder_rate=2e-2, encoder_lead=150)
     train_labelled_encoder(model, reward, data, LabelledEncoderSettings(grounded=untold, start=str(path)), seed=0)
-    assert torch.equal(model.infer(data.seen).map, data.graph)
+    assert torch.equal(model.infer(data.observed).map, data.graph)
     assert torch.equal(reward.psi["follow"], its_reward.psi["follow"])
     policies = model.decoder.state_dict(), trained.decoder.state_dict()
     assert all(torch.equal(policies[0][name], tensor) for name, tensor in policies[1].items())
