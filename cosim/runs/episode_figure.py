@@ -1,6 +1,7 @@
 """The picture of one episode: curves over time beside the same group left to SUMO, and the inferred graph."""
 
 from collections.abc import Mapping
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,15 @@ _CURVES = {
     "v": "speed [m/s]",
     "gap": "net gap ahead [m]",
 }
+
+
+class EpisodeFigure(Figure):
+    """A matplotlib figure that notebooks show by themselves, without pyplot and without a magic command."""
+
+    def _repr_png_(self) -> bytes:
+        buffer = BytesIO()
+        self.savefig(buffer, format="png", dpi=100)
+        return buffer.getvalue()
 
 
 def most_eventful(groups: pd.DataFrame, steps: pd.DataFrame) -> int:
@@ -57,7 +67,7 @@ def figure(tables: Mapping[str, pd.DataFrame], episode: int | None = None) -> Fi
     counterpart = _counterpart(group, groups, steps)
     with matplotlib.rc_context(_STYLE):
         shown = _CURVES if group["rule"] == "merge" else {k: v for k, v in _CURVES.items() if k != "d"}
-        drawn = Figure(figsize=(10, 1 + 2 * len(shown)), layout="constrained")
+        drawn = EpisodeFigure(figsize=(10, 1 + 2 * len(shown)), layout="constrained")
         right = ["graph"] * (len(shown) - 1) + ["text"]
         layout = drawn.subplot_mosaic(
             [list(row) for row in zip(shown, right, strict=True)],
