@@ -1,0 +1,4 @@
+"""The measuring instrument for relations: scenes whose true graph is known, rows from trivial to taught, scores.
+
+Begin with `relations.run`. `families` says what is tested, `rows` who takes the test, `scores` how it is marked.
+"""

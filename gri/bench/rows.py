@@ -1,0 +1,183 @@
+"""The rows of the benchmark: from trivial answers to a network that is taught the relations.
+
+A row turns scenes into P(follow) of every ordered pair. Each says what it was given: nothing, states only ("no
+labels"), or relations of other scenes ("labels").
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from gri import checkpoint
+from gri.bench.car_following_scenes import LENGTH, KnownScenes
+from gri.bench.pair_classifier import train_classifier
+from gri.bench.relation_posterior import Weights, explain, follow_probabilities
+from gri.core.edges import EdgeType, pairs
+from gri.networks.model import RelationalModel
+from gri.resources import checkpoint as checkpoint_file
+
+DT = 0.2  # [s]
+MOST_LAG = 10  # steps
+UPDATES = 1500  # of the taught classifiers
+WINDOW = 31  # frames of 6 s that every row may see
+Infer = Callable[[KnownScenes], Float[Tensor, "S E"]]
+
+
+@dataclass(frozen=True)
+class Row:
+    """A way to infer relations."""
+
+    name: str
+    given: str
+    """"nothing", "no labels" or "labels"."""
+    prepare: Callable[[Sequence[KnownScenes], Sequence[KnownScenes], int], Infer]
+    """(training scenes, validation scenes, seed) → how to infer."""
+    varies: bool = False
+    """Whether the seed changes the answer."""
+
+
+def observed(scenes: KnownScenes) -> Float[Tensor, "S N T 3"]:
+    """What rows may see of scenes."""
+    return scenes.state[:, :, :WINDOW]
+
+
+def _nobody(scenes: KnownScenes) -> Float[Tensor, "S E"]:
+    return torch.zeros(len(scenes), len(pairs(scenes.state.shape[1])), dtype=torch.float64)
+
+
+def _next_ahead(scenes: KnownScenes) -> Float[Tensor, "S E"]:
+    n = scenes.state.shape[1]
+    row = torch.tensor([float(i == j + 1) for i, j in pairs(n)], dtype=torch.float64)
+    return row.repeat(len(scenes), 1)
+
+
+def _prior(scenes: KnownScenes) -> Float[Tensor, "S E"]:
+    """What the posterior says before it has seen any motion: one of those ahead, with equal odds."""
+    n, follow = scenes.state.shape[1], Weights().follow
+    row = torch.tensor([follow / (n - 1 - j) if i > j else 0.0 for i, j in pairs(n)], dtype=torch.float64)
+    return row.repeat(len(scenes), 1)
+
+
+def _accelerations(scenes: KnownScenes) -> Float[Tensor, "S N T"]:
+    v = observed(scenes)[..., 1]
+    return (v[..., 1:] - v[..., :-1]) / DT
+
+
+def _lagged_correlation(scenes: KnownScenes) -> Float[Tensor, "S E"]:
+    """Greatest correlation of the sender's acceleration with the receiver's up to 2 s later."""
+    a = _accelerations(scenes)
+    found = []
+    for i, j in pairs(a.shape[1]):
+        values = []
+        for lag in range(MOST_LAG + 1):
+            cause, effect = a[:, i, : a.shape[-1] - lag], a[:, j, lag:]
+            cause, effect = (part - part.mean(-1, keepdim=True) for part in (cause, effect))
+            norm = (cause.square().sum(-1) * effect.square().sum(-1)).sqrt().clamp(min=1e-9)
+            values.append((cause * effect).sum(-1) / norm)
+        found.append(torch.stack(values).amax(0))
+    return torch.stack(found, 1)
+
+
+def _granger(scenes: KnownScenes) -> Float[Tensor, "S E"]:
+    """log F of a Granger test: do four past accelerations of the sender add to four of the receiver's own?"""
+    a, order = _accelerations(scenes), 4
+    found = []
+    for i, j in pairs(a.shape[1]):
+        y = a[:, j, order:]
+        past = [a[:, which, order - lag : a.shape[-1] - lag] for which in (j, i) for lag in range(1, order + 1)]
+        design = torch.stack([torch.ones_like(y), *past], -1)
+        small, large = (_residual(y, design[..., :columns]) for columns in (1 + order, 1 + 2 * order))
+        degrees = y.shape[-1] - 1 - 2 * order
+        found.append(((small - large).clamp(min=1e-12) / order / (large / degrees).clamp(min=1e-12)).log())
+    return torch.stack(found, 1)
+
+
+def _residual(y: Float[Tensor, "S T"], design: Float[Tensor, "S T P"]) -> Float[Tensor, " S"]:
+    gram = design.mT @ design + 1e-6 * torch.eye(design.shape[-1], dtype=y.dtype)
+    fitted = design @ torch.linalg.solve(gram, design.mT @ y[..., None])
+    return (y - fitted[..., 0]).square().sum(-1)
+
+
+def _with_threshold(score: Infer) -> Callable[[Sequence[KnownScenes], Sequence[KnownScenes], int], Infer]:
+    """Turn a score into a probability by logistic regression on the validation scenes, for pairs from ahead only."""
+
+    def prepare(train: Sequence[KnownScenes], validation: Sequence[KnownScenes], seed: int) -> Infer:
+        del train, seed
+        n = validation[0].state.shape[1]
+        ahead = torch.tensor([i > j for i, j in pairs(n)])
+        x = torch.cat([score(known)[:, ahead].flatten() for known in validation])
+        y = torch.cat([known.graph()[:, ahead].flatten() for known in validation]).double()
+        weight = torch.where(y > 0, 0.5 / y.mean(), 0.5 / (1 - y.mean()))
+        w = torch.zeros(2, dtype=torch.float64)
+        centre, unit = x.mean(), x.std()
+        design = torch.stack([(x - centre) / unit, torch.ones_like(x)], -1)
+        for _ in range(25):  # Newton steps
+            p = (design @ w).sigmoid()
+            slope = design.mT @ (weight * (y - p)) - 1e-3 * w
+            curvature = design.mT @ (design * (weight * p * (1 - p))[:, None]) + 1e-3 * torch.eye(2, dtype=w.dtype)
+            w = w + torch.linalg.solve(curvature, slope)
+        return lambda known: ((score(known) - centre) / unit * w[0] + w[1]).sigmoid() * ahead
+
+    return prepare
+
+
+def _closed_form(train: Sequence[KnownScenes], validation: Sequence[KnownScenes], seed: int) -> Infer:
+    """Weights of the explanations from the training scenes of all drivers together, without their relations."""
+    del validation
+    states = torch.cat([observed(known)[:150] for known in train])
+    weights = explain(states[..., 0], states[..., 1], DT, LENGTH, seed=seed).weights()
+
+    def infer(known: KnownScenes) -> Float[Tensor, "S E"]:
+        seen = observed(known)
+        return follow_probabilities(explain(seen[..., 0], seen[..., 1], DT, LENGTH, seed=seed).posterior(weights))
+
+    return infer
+
+
+def _model(model: RelationalModel) -> Infer:
+    """P(follow) by an encoder, from the last states that it wants to see."""
+    follow = model.config.vocabulary.index(EdgeType.FOLLOW)
+
+    @torch.no_grad()
+    def infer(known: KnownScenes) -> Float[Tensor, "S E"]:
+        return model.infer(observed(known)[:, :, -model.history_steps :].float()).probs[..., follow].double()
+
+    return infer
+
+
+def _untrained(train: Sequence[KnownScenes], validation: Sequence[KnownScenes], seed: int) -> Infer:
+    torch.manual_seed(seed)
+    return _model(RelationalModel(checkpoint.load(checkpoint_file("us101_car_following")).config).eval())
+
+
+def _released(name: str) -> Row:
+    return Row(f"released: {name}", "no labels", lambda *_: _model(checkpoint.load(checkpoint_file(name))))
+
+
+ROWS: tuple[Row, ...] = (
+    Row("nobody follows", "nothing", lambda *_: _nobody),
+    Row("everybody follows the next", "nothing", lambda *_: _next_ahead),
+    Row("prior alone", "nothing", lambda *_: _prior),
+    Row("untrained encoder", "nothing", _untrained, varies=True),
+    Row("lagged correlation", "labels (threshold)", _with_threshold(_lagged_correlation)),
+    Row("Granger test", "labels (threshold)", _with_threshold(_granger)),
+    Row(
+        "geometry of the last frame",
+        "labels",
+        lambda train, _, seed: train_classifier(train, lambda state: state[:, :, WINDOW - 1 : WINDOW], seed, UPDATES),
+        varies=True,
+    ),
+    _released("us101_car_following"),
+    _released("ngsim_car_following"),
+    Row("released: sumo_car_following", "labels (SUMO's)", _released("sumo_car_following").prepare),
+    Row("closed form", "no labels", _closed_form, varies=True),
+    Row(
+        "labelled classifier (ceiling)",
+        "labels",
+        lambda train, _, seed: train_classifier(train, lambda state: state[:, :, :WINDOW], seed, UPDATES),
+        varies=True,
+    ),
+)
