@@ -4,6 +4,7 @@ from typing import Annotated
 
 import typer
 
+from gri.commands.bench import app as bench_app
 from gri.commands.models import data, evaluate, train
 from gri.commands.ngsim import app as ngsim_app
 from gri.commands.reproduce import reproduce
@@ -15,6 +16,7 @@ app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_
 for _command in (data, train, evaluate, reproduce):
     app.command()(_command)
 app.add_typer(ngsim_app, name="ngsim")
+app.add_typer(bench_app, name="bench")
 
 
 def _version(wanted: bool) -> bool:

@@ -1,0 +1,42 @@
+"""The command `gri bench relations`: does a model see who reacts to whom?"""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gri.commands.models import one_thread
+from gri.terminal import ProgressDisplay, next_command, notice, say
+
+app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Measure what inferred relations are worth.")
+
+
+@app.callback()
+def bench() -> None:
+    """Measure what inferred relations are worth."""
+
+
+@app.command()
+def relations(
+    out: Annotated[Path, typer.Option(help="Folder of tables and finished rows.")] = Path("runs/bench/relations"),
+    seeds: Annotated[int, typer.Option(min=1, max=100, help="Seeds of the rows that depend on one.")] = 5,
+    scenes: Annotated[int, typer.Option(min=20, max=10_000, help="Scenes in each test set.")] = 300,
+    row: Annotated[list[str] | None, typer.Option(help="Score only this row; repeatable.")] = None,
+) -> None:
+    """Score relations on scenes whose true graph is known.
+
+    Simulated drivers of six models, and controls in which nobody can react to
+    anybody. The same command continues where it was stopped.
+    """
+    one_thread()
+    from gri.bench.relations import Plan, run
+
+    try:
+        with ProgressDisplay() as progress:
+            run(Plan(out, seeds, scenes, tuple(row or ())), progress)
+    except KeyboardInterrupt:
+        notice("stopped; finished rows are kept, the same command continues")
+        raise typer.Exit(130) from None
+    for name in ("relations.md", "relations.csv", "relations.json"):
+        say(str(out / name))
+    next_command("gri evaluate CHECKPOINT --scene-file FILE")
