@@ -17,7 +17,6 @@ from gri.bench.pair_classifier import train_classifier
 from gri.bench.relation_posterior import Weights, explain, follow_probabilities
 from gri.core.edges import EdgeType, pairs
 from gri.networks.model import RelationalModel
-from gri.resources import checkpoint as checkpoint_file
 
 DT = 0.2  # [s]
 MOST_LAG = 10  # steps
@@ -150,11 +149,11 @@ def _model(model: RelationalModel) -> Infer:
 
 def _untrained(train: Sequence[KnownScenes], validation: Sequence[KnownScenes], seed: int) -> Infer:
     torch.manual_seed(seed)
-    return _model(RelationalModel(checkpoint.load(checkpoint_file("us101_car_following")).config).eval())
+    return _model(RelationalModel(checkpoint.load("us101_car_following").config).eval())
 
 
 def _released(name: str) -> Row:
-    return Row(f"released: {name}", "no labels", lambda *_: _model(checkpoint.load(checkpoint_file(name))))
+    return Row(f"released: {name}", "no labels", lambda *_: _model(checkpoint.load(name)))
 
 
 ROWS: tuple[Row, ...] = (

@@ -62,7 +62,7 @@ def test_markdown_tables_have_as_many_columns_in_every_line(results):
     folder, _ = results
     blocks = (folder / "relations.md").read_text().split("\n\n")
     tables = [block for block in blocks if block.startswith("| ")]
-    assert len(tables) == 3
+    assert len(tables) == 4
     for table in tables:
         assert len({line.count("|") for line in table.strip().splitlines()}) == 1
 
