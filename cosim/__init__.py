@@ -1,6 +1,7 @@
 """Closed-loop co-simulation with SUMO: run driving policies on groups of vehicles in live traffic.
 
-Begin with `run`. Names are imported when they are first used, so that `import cosim` costs nothing.
+Begin with `run`, which returns a `Run` with tables and figures; `open_run` reads a finished one. docs/notebook.ipynb
+shows both. Names are imported when they are first used, so that `import cosim` costs nothing.
 """
 
 from importlib import import_module

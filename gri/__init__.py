@@ -1,7 +1,8 @@
 """Grounded Relational Inference: graphs of relations between vehicles, and policies that drive under them.
 
-Begin with `load`, which reads a released model. Names are imported when they are first used, so that `import gri` does
-not wait for torch.
+Begin with `load`, which reads a released model (`checkpoints` lists their names). `evaluate` scores a model on
+`Scenes`, and `rollout` drives with it. `Policy` lists the members that a policy of your own needs; docs/tutorial.md
+writes one. Names are imported when they are first used, so that `import gri` does not wait for torch.
 """
 
 from importlib import import_module

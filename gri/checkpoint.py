@@ -74,7 +74,20 @@ def _write(path: Path, content: dict[str, Any]) -> None:
 
 
 def load(path: Path | str) -> RelationalModel:
-    """The model of a checkpoint, with fixed weights and ready to drive."""
+    """The model of a checkpoint, with fixed weights and ready to drive.
+
+    `path` is a file, or the name of a released checkpoint (`gri.checkpoints()` lists them). The model is a
+    `gri.Policy`: `begin` infers the graph from a history, `act` gives the actions of the next step (SI units).
+
+    Raises:
+        InputError: there is no such checkpoint, it is damaged, or it does not fit this release.
+
+    Example:
+        >>> import gri
+        >>> model = gri.load("us101_car_following")
+        >>> model.dynamics.state, model.dt, model.history_steps
+        >>> model.infer(state)  # the graph; `state` is [groups, vehicles, instants, features]
+    """
     content = _read(path)
     config = _decoded(content["config"], ModelConfig, path)
     model = RelationalModel(config)

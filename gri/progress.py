@@ -1,4 +1,4 @@
-"""How long work reports its progress: as a function that it is given."""
+"""The function type by which long computations report their progress."""
 
 from collections.abc import Callable
 

@@ -54,7 +54,8 @@ def run(
     """Take groups out of live traffic, drive them, hand them back.
 
     A policy drives every group of vehicles for the horizon of the scenario. The
-    table compares it with the same groups left to SUMO.
+    table compares it with the same groups left to SUMO. Other policies than the
+    baselines are named in the scenario file, under `policy`.
     """
     from cosim.spec.loading import load_scenario
 

@@ -17,12 +17,19 @@ def stress(
     policy: Annotated[
         str,
         typer.Option(
-            help="Policies, separated by commas: idm, constant_velocity, sumo, gri, supervised, or checkpoints."
+            help="Policies, separated by commas: idm, constant_velocity, sumo, gri (the scenario's checkpoint),"
+            " supervised, or names and paths of checkpoints."
         ),
     ] = "gri,idm,sumo",
-    perturbation: Annotated[str, typer.Option(help="Kinds of perturbation, separated by commas.")] = "headway_ratio",
+    perturbation: Annotated[
+        str, typer.Option(help="Kinds of perturbation, separated by commas; docs/stress.md lists them.")
+    ] = "headway_ratio",
     intensity: Annotated[
-        str, typer.Option(help="Intensities, separated by commas, for a single kind; default: five for each kind.")
+        str,
+        typer.Option(
+            help="Intensities of a single kind, separated by commas, in its unit (m/s² for leader_braking);"
+            " default: five for each kind."
+        ),
     ] = "",
     starts: Annotated[int, typer.Option(min=1, help="Groups that every policy drives at every intensity.")] = 100,
     workers: Annotated[int, typer.Option(min=1, help="Simulations at a time.")] = 2,

@@ -1,4 +1,4 @@
-"""Take-over, commands and hand-back: what SUMO is told about the vehicles that a policy drives.
+"""Take-over, commands and hand-back: what is sent to SUMO for the vehicles that a policy drives.
 
 `PolicyControl` is a policy in control of its vehicles. `SumoControl` stands for no policy: its methods do nothing. The
 loop in `driving` treats both alike.

@@ -1,4 +1,5 @@
-"""Perturbed sensors and actuators of one round: what a policy observes, and what becomes of its actions.
+"""Perturbed sensors and actuators of one round: noise, latency and dropout of what a policy observes, and noise, delay
+and limits of its actions.
 
 All random numbers are drawn in advance, from the scenario's seed and the names of the group, so that all policies meet
 the same noise.

@@ -1,6 +1,7 @@
-"""A run on disk: Parquet tables for steps, groups and events, a manifest, and one picture.
+"""A run on disk: Parquet tables for steps, groups, events and graphs, a manifest, and one picture.
 
-A run folder appears whole or not at all: it is written beside its place and then moved there.
+Columns and units are in docs/reference/run-tables.md: SI units, e.g. jerk in m/s³. A run folder appears whole or not at
+all: it is written beside its place and then moved there.
 """
 
 import json
@@ -50,7 +51,7 @@ def _steps(number: int, episode: Episode) -> pd.DataFrame:
 
 
 def groups_table(episodes: Sequence[Episode], expected: Mapping[tuple[int, int], EdgeType]) -> pd.DataFrame:
-    """One row per episode: who, how it ended, what the policy believed, and the safety figures of the drive."""
+    """One row per episode: vehicles, ending, inferred graph, and the safety figures of the drive (SI units)."""
     return pd.DataFrame([_group(number, episode, expected) for number, episode in enumerate(episodes)])
 
 

@@ -31,7 +31,7 @@ def summary(groups: pd.DataFrame) -> pd.DataFrame:
 
 def terminal_table(groups: pd.DataFrame) -> Table:
     """The summary as a table for the terminal."""
-    table = Table(title="Groups driven, and the same groups left alone", title_justify="left")
+    table = Table(title="Driven groups, and the same groups without a policy", title_justify="left")
     table.add_column("")
     content = summary(groups)
     for driver in content.columns:

@@ -1,8 +1,8 @@
-"""Scenario: the frozen, typed specification of one closed-loop experiment.
+"""Scenario: what a scenario file (YAML) may contain, as frozen types.
 
-A scenario is a YAML file. `cosim.spec.loading` checks the whole file before anything runs: unknown keys, wrong types
-and values out of range are errors that name the file, the line and the field. `json_schema` is the same specification
-for editors.
+A scenario specifies one closed-loop experiment. `cosim.spec.loading` checks the whole file before anything runs:
+unknown keys, wrong types and values out of range are errors that name the file, the line and the field. `json_schema`
+is the same specification for editors.
 """
 
 from typing import Annotated, Any, Literal

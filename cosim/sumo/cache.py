@@ -7,7 +7,7 @@ T = TypeVar("T")
 
 
 class CachedAnswers(dict[str, T]):
-    """A constant value per vehicle, which SUMO is asked for once."""
+    """A constant value per vehicle, read from SUMO only once."""
 
     def __init__(self, ask: Callable[[str], T]) -> None:
         super().__init__()

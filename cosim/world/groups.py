@@ -1,4 +1,4 @@
-"""Finding three interacting vehicles in traffic; pure functions of a history of snapshots.
+"""Finding groups of three interacting vehicles in traffic; pure functions of a history of snapshots.
 
 Roles: in car following 0 follows 1 follows 2; in merging 0 merges between the lag vehicle 1 and the leader 2. Vehicle 2
 is the given leader, which SUMO drives (Sec. VI-C, VI-D of the paper).

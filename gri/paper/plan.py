@@ -1,4 +1,4 @@
-"""What `gri reproduce` is asked for, and the jobs it needs."""
+"""The target of `gri reproduce`, and the jobs that it needs."""
 
 import hashlib
 from collections.abc import Sequence

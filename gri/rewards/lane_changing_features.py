@@ -2,7 +2,8 @@
 
 `sender` is vehicle i in the paper, and `receiver` is vehicle j, which reacts to it. Leading axes are free. Lanes run
 along x, and y counts to the left. Lane centres are at whole multiples of the lane width. Longitudinal features are
-those of car following, applied to [x, v, a]. Every feature is a cost, 0 or more: the reward subtracts it.
+those of car following, applied to [x, v, a]. Every feature is a cost, 0 or more: the reward subtracts it. `g_yield` is
+the term for yielding, `g_goal_cut_in` and `g_dist_cut_in` those for cutting in.
 """
 
 from enum import StrEnum
