@@ -19,7 +19,7 @@ from pathlib import Path
 import pandas  # noqa: F401  pyarrow brings it with the first table, once per process
 from turns import side_by_side
 
-from cosim.scenes.rules import DT, KINDS, Rules
+from cosim.scenes.scene_rules import DT, KINDS, Rules
 from cosim.scenes.seed_scenes import SceneExtractor, SeedSpec, undisturbed_traffic
 from cosim.spec.input_files import find_net
 from cosim.spec.loading import load_scenario

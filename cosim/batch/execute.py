@@ -17,9 +17,9 @@ import msgspec
 from cosim.batch.run_matrix import PACKAGES, Run
 from cosim.batch.spec import Batch
 from cosim.batch.store import BatchStore
-from cosim.process.task import Answer, Answers, Task
+from cosim.process.task import Task, TaskResult, TaskResults
 
-Executor = Callable[[deque[Task], float], Answers]  # (queue, time limit [s])
+Executor = Callable[[deque[Task], float], TaskResults]  # (queue, time limit [s])
 NOT_RETRIED = ("input",)  # kinds of failure that a second attempt cannot fix
 
 
@@ -92,7 +92,7 @@ def _task(run: Run, store: BatchStore, attempt: int) -> Task:
     return Task(run.id, "cosim.batch.run_task:run_task", arguments, store.attempt_folder(run.id, attempt))
 
 
-def _published(answer: Answer, store: BatchStore) -> Answer:
+def _published(answer: TaskResult, store: BatchStore) -> TaskResult:
     """Publish the results of a successful attempt, or remove those of a failed one.
 
     If publishing fails, the returned answer is that of a failed attempt.
@@ -121,7 +121,7 @@ def _failure(run: Run, reasons: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return {"run": run.id, "labels": msgspec.to_builtins(run.cell), "attempts": list(reasons)}
 
 
-def _log_entry(answer: Answer, attempt: int) -> dict[str, Any]:
+def _log_entry(answer: TaskResult, attempt: int) -> dict[str, Any]:
     seconds, peak = round(answer.seconds, 3), round(answer.peak_mb, 1)
     return {"run": answer.name, "attempt": attempt, "ended": answer.kind, "seconds": seconds, "peak_mb": peak}
 

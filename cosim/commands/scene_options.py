@@ -6,7 +6,7 @@ from typing import Any
 
 import msgspec
 
-from cosim.scenes.rules import DT, KINDS, Kind, Rules
+from cosim.scenes.scene_rules import DT, KINDS, Kind, Rules
 from cosim.spec.loading import override
 from cosim.spec.scenario import Scenario, SimulatedTraffic
 from gri.errors import InputError

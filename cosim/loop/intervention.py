@@ -146,9 +146,9 @@ class Intervention:
             for group, change, there in zip(self.round.groups, self.changes, arrived, strict=True)
         ]
         observation = GroupObservation.of(now, groups)
-        return now, self._with_phantoms(observation, road) if self.removes_third else observation
+        return now, self._with_substitute_leader(observation, road) if self.removes_third else observation
 
-    def _with_phantoms(self, observation: GroupObservation, road: RoadFrame) -> GroupObservation:
+    def _with_substitute_leader(self, observation: GroupObservation, road: RoadFrame) -> GroupObservation:
         """The observation with vehicle 2 far ahead at the speed it had at the take-over."""
         state, valid = observation.state.copy(), observation.valid.copy()
         for g, (group, change) in enumerate(zip(self.round.groups, self.changes, strict=True)):

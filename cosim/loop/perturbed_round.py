@@ -98,7 +98,7 @@ def _change(
                 successor = names[row]
                 own = float(others.s[row]), float(others.d[row]), float(others.v[row])
                 plan = plan_cut_in(successor, own, float(after.d[2]), float(after.v[follower]), spec, this_round.dt)
-    if plan is not None and _hits(plan, after, everyone, now, this_round.dt, max_braking):
+    if plan is not None and _unavoidable_contact(plan, after, everyone, now, this_round.dt, max_braking):
         return Infeasible.UNAVOIDABLE
     return GroupChange(after, (before.s != after.s) | (before.v != after.v), plan, successor)
 
@@ -111,7 +111,7 @@ def _span(length: float, lanes: MergeLanes | None) -> Float[np.ndarray, "3 2"]:
     return span
 
 
-def _hits(
+def _unavoidable_contact(
     plan: PosePlan, group: VehicleStates, everyone: VehicleStates, now: Snapshot, dt: float, max_braking: float
 ) -> bool:
     """Whether vehicle 0 or 1, in the plan's lane, runs into the planned vehicle even if it brakes from the start."""

@@ -109,7 +109,7 @@ def reactions_by_rule(records: DriverRecords) -> Reactions:
     lowest = np.maximum(records.v - HARDEST_BRAKING * records.dt, 0.0)
     allowed = np.minimum(np.maximum(records.speed_behind_leader, lowest), records.free_speed)
     effect = (allowed - records.free_speed) / records.dt
-    shortfall = _shortfall(records)
+    shortfall = _unexplained_deceleration(records)
     held_by_leader = (records.leader != NO_VEHICLE) & (effect < REACTION_THRESHOLD) & (shortfall >= 0)
     yields = (records.requester != NO_VEHICLE) & (shortfall < 0)
     adapts = _adapts_to_target(records, shortfall) & (records.requester == NO_VEHICLE)
@@ -130,14 +130,14 @@ def reactions_by_intervention(
     """
     held_by_leader = (records.leader != NO_VEHICLE) & (effect_of_leader < REACTION_THRESHOLD)
     yields = (records.requester != NO_VEHICLE) & (effect_of_requests < REACTION_THRESHOLD)
-    shortfall = _shortfall(records)
+    shortfall = _unexplained_deceleration(records)
     adapts = _adapts_to_target(records, shortfall) & ~yields
     follow = _follow(records, held_by_leader, effect_of_leader, adapts, shortfall)
     yielding = Reaction(np.where(yields, records.requester, NO_VEHICLE), np.where(yields, effect_of_requests, 0.0))
     return _add_lane_changes(records, follow, yielding, None)
 
 
-def _shortfall(records: DriverRecords) -> Values:
+def _unexplained_deceleration(records: DriverRecords) -> Values:
     """Acceleration minus the lowest one that the model and the imperfection explain [m/s²]; negative: unexplained."""
     lowest = np.maximum(records.v - HARDEST_BRAKING * records.dt, 0.0)
     allowed = np.maximum(np.minimum(records.speed_behind_leader, records.free_speed), lowest)

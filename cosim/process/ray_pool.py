@@ -14,16 +14,16 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
-from cosim.process.task import Answer, Answers, Task
+from cosim.process.task import Task, TaskResult, TaskResults
 from cosim.process.task_pool import Worker, alive_or_new
 from gri.errors import InputError
 
-Parcel = tuple[Answer, dict[str, bytes]]  # an answer and the files of the folder of its task
+Parcel = tuple[TaskResult, dict[str, bytes]]  # an answer and the files of the folder of its task
 
 
 def run_ray(
     queue: deque[Task], time_limit: float, *, workers: int | None = None, address: str | None = None
-) -> Answers:
+) -> TaskResults:
     """Do the tasks of a queue, which may grow between answers; like `run_local`, on as many cores as Ray has.
 
     `workers` limits the tasks under way at once, and the cores of a Ray that is started here. Without an address, Ray
@@ -68,16 +68,16 @@ def _perform(task: Task, time_limit: float, folder: str) -> Parcel:
     return replace(answer, folder=task.folder), files if answer.kind == "done" else {}
 
 
-def _unpacked(ray: Any, reference: Any, task: Task) -> Answer:
+def _unpacked(ray: Any, reference: Any, task: Task) -> TaskResult:
     """The answer of an ended task, its files written into the folder of the task."""
     try:
         answer, files = ray.get(reference)
     except ray.exceptions.RayError as error:
-        return Answer(task.name, task.folder, "died", f"Ray lost the task: {str(error).strip().splitlines()[0]}")
+        return TaskResult(task.name, task.folder, "died", f"Ray lost the task: {str(error).strip().splitlines()[0]}")
     try:
         task.folder.mkdir(parents=True)
         for name, content in files.items():
             (task.folder / name).write_bytes(content)
     except OSError as error:
-        return Answer(task.name, task.folder, "error", f"cannot be written here: {error.strerror}")
+        return TaskResult(task.name, task.folder, "error", f"cannot be written here: {error.strerror}")
     return answer

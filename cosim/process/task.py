@@ -28,7 +28,7 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Answer:
+class TaskResult:
     """How an attempt ended.
 
     `kind` is "done", or why it failed: "input" (bad input, which fails again however often it is tried), "error" (an
@@ -45,7 +45,7 @@ class Answer:
     peak_mb: float = 0.0  # resident memory of the process of the task
 
 
-Answers = Generator[Answer, None, None]  # closing it ends all tasks under way
+TaskResults = Generator[TaskResult, None, None]  # closing it ends all tasks under way
 
 
 def function_named(name: str) -> Callable[..., Any]:
@@ -54,17 +54,17 @@ def function_named(name: str) -> Callable[..., Any]:
     return getattr(import_module(module), function)
 
 
-def perform(task: Task) -> Answer:
+def perform(task: Task) -> TaskResult:
     """Do a task in this process, which prints into the folder of the task from now on; failures become answers."""
     try:
         task.folder.mkdir(parents=True)
         print_to(task.folder / LOG)
         value = function_named(task.function)(task.folder, *task.arguments)
     except InputError as error:
-        return Answer(task.name, task.folder, "input", str(error))
+        return TaskResult(task.name, task.folder, "input", str(error))
     except OSError as error:  # such as a full disk, which would not hold a traceback either
-        return Answer(task.name, task.folder, "error", f"{error.strerror or error} ({type(error).__name__})")
+        return TaskResult(task.name, task.folder, "error", f"{error.strerror or error} ({type(error).__name__})")
     except Exception as error:
         traceback.print_exc()
-        return Answer(task.name, task.folder, "error", f"{type(error).__name__}: {error}")
-    return Answer(task.name, task.folder, "done", value=value, cpu_seconds=cpu_seconds(), peak_mb=peak_mb())
+        return TaskResult(task.name, task.folder, "error", f"{type(error).__name__}: {error}")
+    return TaskResult(task.name, task.folder, "done", value=value, cpu_seconds=cpu_seconds(), peak_mb=peak_mb())

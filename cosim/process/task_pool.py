@@ -17,12 +17,12 @@ from multiprocessing.process import BaseProcess
 
 from cosim.process.failures import exit_cause, last_lines
 from cosim.process.fork import CAN_FORK, Branch, BranchError, fork
-from cosim.process.task import LOG, Answer, Answers, Task, function_named, perform
+from cosim.process.task import LOG, Task, TaskResult, TaskResults, function_named, perform
 
 START_UP = 120.0  # [s] that a worker may take to import everything
 
 
-def run_local(queue: deque[Task], time_limit: float, *, workers: int) -> Answers:
+def run_local(queue: deque[Task], time_limit: float, *, workers: int) -> TaskResults:
     """Do the tasks of a queue, which may grow between answers; answers come as they are ready.
 
     At most `workers` tasks run at a time. A task that takes longer than `time_limit` [s] is ended. Leaving the
@@ -77,14 +77,14 @@ class Worker:
         self._began = time.monotonic()
         self._deadline = self._began + grace + self._limit
 
-    def answer(self) -> Answer | None:
+    def answer(self) -> TaskResult | None:
         """The answer to the present task; None while it is under way and its time is not up."""
         assert self.task is not None
         answer = self._received()
         if answer is None and time.monotonic() >= self._deadline:
             self.end()
             message = f"not finished after {self._limit:g} s, the time limit"
-            answer = Answer(self.task.name, self.task.folder, "timeout", message)
+            answer = TaskResult(self.task.name, self.task.folder, "timeout", message)
         if answer is None:
             return None
         self.task = None
@@ -94,7 +94,7 @@ class Worker:
         message = f"{answer.message}; last lines of its log: {lines}" if lines else answer.message
         return replace(answer, message=message, seconds=time.monotonic() - self._began)
 
-    def perform(self, task: Task, time_limit: float) -> Answer:
+    def perform(self, task: Task, time_limit: float) -> TaskResult:
         """Begin the task and wait for its answer."""
         self.begin(task, time_limit)
         while True:
@@ -102,7 +102,7 @@ class Worker:
             if answer := self.answer():
                 return answer
 
-    def _received(self) -> Answer | None:
+    def _received(self) -> TaskResult | None:
         """The answer if it has come. The worker says first (by None) that the function is imported."""
         assert self.task is not None
         try:
@@ -114,7 +114,7 @@ class Worker:
         except (EOFError, OSError):
             self.end()
             cause = exit_cause(self._process.exitcode)
-            return Answer(self.task.name, self.task.folder, "died", f"its worker died ({cause})")
+            return TaskResult(self.task.name, self.task.folder, "died", f"its worker died ({cause})")
         return None
 
     def end(self) -> None:
@@ -159,13 +159,13 @@ def _serve(pipe: Connection) -> None:
             pipe.send(answer)
 
 
-def _perform_in_copy(task: Task, pipe: Connection) -> Answer:
+def _perform_in_copy(task: Task, pipe: Connection) -> TaskResult:
     """Do the task in a copy of the worker. The pipe must close when the worker ends, so the copy closes its end."""
     pipe.close()
     return perform(task)
 
 
-def _answer_of(branch: Branch[Answer], task: Task, pipe: Connection) -> Answer | None:
+def _answer_of(branch: Branch[TaskResult], task: Task, pipe: Connection) -> TaskResult | None:
     """The answer of a running copy; None, with the copy killed, where the other end of the pipe is closed."""
     if pipe in wait([branch.pipe, pipe]):
         os.kill(branch.pid, signal.SIGKILL)
@@ -173,4 +173,4 @@ def _answer_of(branch: Branch[Answer], task: Task, pipe: Connection) -> Answer |
     try:
         return branch.result()
     except BranchError as error:
-        return Answer(task.name, task.folder, "died", str(error))
+        return TaskResult(task.name, task.folder, "died", str(error))

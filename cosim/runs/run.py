@@ -69,7 +69,8 @@ class Run:
     def _repr_html_(self) -> str:
         """The short form that notebooks show."""
         facts = " · ".join(self._facts())
-        return f"<p><b>{escape(str(self.folder))}</b><br>{escape(facts)}</p>{self.summary().to_html()}"
+        table = self.summary().replace("\n", ", ", regex=True).to_html()
+        return f"<p><b>{escape(str(self.folder))}</b><br>{escape(facts)}</p>{table}"
 
     def _facts(self) -> list[str]:
         arguments = self.manifest["arguments"]

@@ -96,6 +96,7 @@ def run_job(
     if draw:
         tell("picture", 0, 1)
         picture(tables, folder / "episode.png")
+        tell("picture", 1, 1)
 
 
 def _inputs(scenario: Scenario, policy: Policy | None) -> dict[str, Path]:

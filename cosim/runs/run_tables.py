@@ -71,7 +71,7 @@ def _group(number: int, episode: Episode, expected: Mapping[tuple[int, int], Edg
         "ending": episode.ending.value,
         "success": episode.success,
         "contact": episode.ending is Ending.CONTACT,
-        **_belief(episode, expected),
+        **_inferred_graph_columns(episode, expected),
         "min_gap": float(np.where(episode.in_path, episode.gap, np.inf)[way].min()),
         "min_ttc": float(episode.ttc[way].min()),
         "mean_speed": float(episode.feature("v")[way][:, :2].mean()),
@@ -82,7 +82,7 @@ def _group(number: int, episode: Episode, expected: Mapping[tuple[int, int], Edg
     }
 
 
-def _belief(episode: Episode, expected: Mapping[tuple[int, int], EdgeType]) -> dict[str, Any]:
+def _inferred_graph_columns(episode: Episode, expected: Mapping[tuple[int, int], EdgeType]) -> dict[str, Any]:
     """The inferred type and its probability for each pair, and whether the whole graph is the expected one."""
     if episode.graph is None:
         return {}
@@ -159,6 +159,8 @@ def write_manifest(folder: Path, content: Mapping[str, Any]) -> None:
 
 def read_tables(folder: Path) -> dict[str, pd.DataFrame]:
     """The tables of a run folder; an InputError says what is missing."""
+    if not folder.is_dir():
+        raise InputError(f"{folder}: no such folder; give a run folder written by `cosim run`")
     for name in TABLES:
         if not (folder / f"{name}.parquet").is_file():
             raise InputError(f"{folder}: no {name}.parquet in it; expected a run folder written by `cosim run`")

@@ -91,7 +91,7 @@ def _hardest_braking(groups: pd.DataFrame) -> str:
 _ROWS: tuple[Row, ...] = (
     ("groups", lambda g: str(len(g))),
     ("  driven to the end", lambda g: _of(int(g["ending"].isin(ARRIVED).sum()), len(g))),
-    ("  not in time, or not on the road", lambda g: _endings(g, interrupted=False)),
+    ("  failed: too late, or off the road", lambda g: _endings(g, interrupted=False)),
     ("  interrupted by others", lambda g: _endings(g, interrupted=True)),
     ("inferred edges", _edges),
     ("  whole graph as expected", _as_expected),
@@ -103,7 +103,7 @@ _ROWS: tuple[Row, ...] = (
     ("steps with |jerk| <= 3 m/s³ [%]", lambda g: f"{100 * g['jerk_within_3'].mean():.1f}"),
     (
         "hardest braking [m/s²]: driven / after",
-        lambda g: f"{g['min_acceleration'].min():.1f} / {g['min_acceleration_after'].min():.1f}",
+        _hardest_braking,
     ),
-    ("groups with hard braking after", lambda g: str(int((g["hard_braking_after"] > 0).sum()))),
+    ("groups with hard braking after hand-back", lambda g: str(int((g["hard_braking_after"] > 0).sum()))),
 )

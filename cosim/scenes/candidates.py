@@ -8,7 +8,7 @@ import numpy as np
 
 from cosim.measures.relation_labels import NO_VEHICLE
 from cosim.scenes.lane_change_requests import SAME_LANE, LaneChangeEvent
-from cosim.scenes.rules import Kind, Rules
+from cosim.scenes.scene_rules import Kind, Rules
 from cosim.scenes.trajectory_buffer import BufferedStep, Lane
 from cosim.world.snapshot import LaneChange
 
@@ -24,7 +24,7 @@ class Window:
     begin: int
 
 
-def rows_throughout(steps: Sequence[BufferedStep], vehicles: Sequence[int]) -> np.ndarray | None:
+def rows_at_every_step(steps: Sequence[BufferedStep], vehicles: Sequence[int]) -> np.ndarray | None:
     """[V, T] Rows of the vehicles in all these steps; None if a vehicle is missing in one of them."""
     try:
         return np.array([list(map(step.row_of.__getitem__, vehicles)) for step in steps]).T
@@ -40,7 +40,7 @@ def following_chains(steps: Sequence[BufferedStep], lanes: Sequence[Lane], count
     first = steps[0]
     all_through = set(first.row_of).intersection(*(step.row_of for step in steps))
     present = [number for number in first.row_of if number in all_through]
-    rows = rows_throughout(steps, present) if present else None
+    rows = rows_at_every_step(steps, present) if present else None
     if rows is None:
         return []
     leader, lane = (

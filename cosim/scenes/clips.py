@@ -7,8 +7,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from cosim.measures.relation_labels import NO_VEHICLE, DriverRecords
-from cosim.scenes.candidates import Window, rows_throughout
-from cosim.scenes.rules import Kind
+from cosim.scenes.candidates import Window, rows_at_every_step
+from cosim.scenes.scene_rules import Kind
 from cosim.scenes.trajectory_buffer import COLUMN, BufferedStep, TrajectoryBuffer
 from cosim.world.snapshot import DriverParameters
 
@@ -42,7 +42,7 @@ def cut_clip(window: Window, buffer: TrajectoryBuffer, scene_steps: int) -> Clip
     """The clip of a window of `scene_steps` + 1 steps that ends now; None if a vehicle was missing in one of them."""
     steps = [step for step in buffer.steps if step.index >= window.begin]
     assert len(steps) == scene_steps + 1, f"got {len(steps)} steps, wanted {scene_steps + 1}"
-    rows = rows_throughout(steps, window.vehicles)
+    rows = rows_at_every_step(steps, window.vehicles)
     if rows is None:
         return None
     buffer.await_interventions()

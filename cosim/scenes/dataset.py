@@ -17,9 +17,9 @@ from typing import Any
 
 import msgspec
 
-from cosim.process.task import Answer, Task
+from cosim.process.task import Task, TaskResult
 from cosim.process.task_pool import run_local
-from cosim.scenes.rules import DT, Kind, Rules
+from cosim.scenes.scene_rules import DT, Kind, Rules
 from cosim.scenes.seed_scenes import SPLITS, SeedSpec
 from cosim.scenes.seed_task import FIGURES, SCENES, SeedResult
 from cosim.spec.input_files import find_net, sha256
@@ -151,7 +151,7 @@ class SeedStore:
         folder = self._seeds / f".{k}.{os.getpid()}"
         return Task(str(k), "cosim.scenes.seed_task:seed_task", (self.order.spec(k),), folder)
 
-    def keep(self, answer: Answer) -> None:
+    def keep(self, answer: TaskResult) -> None:
         """Add the result of a worker. Raises `InputError` or RuntimeError with the reason if the worker failed."""
         k = int(answer.name)
         if answer.kind != "done":

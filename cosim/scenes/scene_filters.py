@@ -17,7 +17,7 @@ from cosim.measures.relation_labels import (
     reduce_labels,
 )
 from cosim.scenes.clips import Clip, driver_records_of, intervention_effects
-from cosim.scenes.rules import DT, HYPOTHESIS, RAREST, Kind, Rarest, Rules
+from cosim.scenes.scene_rules import DT, HYPOTHESIS, RAREST, Kind, Rarest, Rules
 from cosim.scenes.scene_states import road_positions, scene_features
 from cosim.scenes.trajectory_buffer import RoadSection
 from gri.core.edges import LANE_CHANGING
@@ -66,7 +66,7 @@ class SceneFilter:
         """How many more scenes of a kind are needed."""
         return self._count - self.tallies[kind].scenes
 
-    def used_up(self, kind: Kind, vehicles: Sequence[int]) -> bool:
+    def vehicle_limit_reached(self, kind: Kind, vehicles: Sequence[int]) -> bool:
         """Whether one of the vehicles is already in `Rules.per_vehicle` scenes of a kind."""
         return any(self._scenes_of[kind][vehicle] >= self._rules.per_vehicle for vehicle in vehicles)
 
@@ -125,7 +125,7 @@ class SceneFilter:
             limit = self._rules.at_most.get(rarest, 1.0) * self._count
             if not reason and self.full(kind):
                 return np.array(chosen, int)
-            if not reason and self.used_up(kind, clip.window.vehicles):
+            if not reason and self.vehicle_limit_reached(kind, clip.window.vehicles):
                 reason = "a vehicle in enough scenes"
             if not reason and tally.rarest[rarest] >= limit:
                 reason = f"enough scenes with {rarest}"

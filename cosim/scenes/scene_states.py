@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Float
 
 from cosim.scenes.clips import Clip
-from cosim.scenes.rules import DT
+from cosim.scenes.scene_rules import DT
 from cosim.scenes.trajectory_buffer import COLUMN, RoadSection
 from gri.data.ngsim.integration import integrated
 

@@ -13,8 +13,8 @@ import numpy as np
 from cosim.perturb.traffic_demand import perturbed_traffic
 from cosim.scenes.candidates import Window, following_chains, merge_window
 from cosim.scenes.clips import Clip, cut_clip
-from cosim.scenes.rules import DT, Kind, Rules
 from cosim.scenes.scene_filters import SceneFilter, Tally
+from cosim.scenes.scene_rules import DT, Kind, Rules
 from cosim.scenes.trajectory_buffer import BufferedStep, RoadSection, TrajectoryBuffer, VehicleNumbers
 from cosim.spec.scenario import Scenario
 from cosim.sumo import Sumo, sumo
@@ -177,7 +177,11 @@ class SceneExtractor:
         chains = following_chains(steps, self.buffer.section.lanes, self._rejected("car_following"))
         for k in self._rng.permutation(len(chains)):
             trio = chains[k]
-            if found == rules.at_once or taken & set(trio) or self.scene_filter.used_up("car_following", trio):
+            if (
+                found == rules.at_once
+                or taken & set(trio)
+                or self.scene_filter.vehicle_limit_reached("car_following", trio)
+            ):
                 continue
             found, taken = found + 1, taken | set(trio)
             self._windows.append(Window("car_following", trio, step.index - rules.following_steps))

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import msgspec
 
-from cosim.scenes.rules import DT
+from cosim.scenes.scene_rules import DT
 from cosim.scenes.seed_scenes import SeedSpec, SeedStatistics, extract_scenes
 from cosim.spec.input_files import find_net
 from cosim.sumo import SumoError

@@ -69,12 +69,12 @@ def source_path(policy: UserPolicy) -> Path:
     return path
 
 
-def checkpoint_path(name: str) -> Path:
-    """The file of the checkpoint that `policy.checkpoint` names, by path or by the name of a released one.
+def checkpoint_path(name: str, field: str = "policy.checkpoint") -> Path:
+    """The file of the checkpoint that a field or option names, by path or by the name of a released one.
 
     Raises `InputError` if there is no such file.
     """
-    return find_checkpoint(name, field="policy.checkpoint")
+    return find_checkpoint(name, field)
 
 
 def sha256(path: Path) -> str:

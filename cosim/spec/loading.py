@@ -1,6 +1,7 @@
 """Reading and checking scenarios, by name or path and with changes from options."""
 
 import difflib
+import re
 from pathlib import Path
 from typing import Any
 
@@ -55,8 +56,16 @@ def override(scenario: Scenario, changes: dict[str, Any]) -> Scenario:
     try:
         return msgspec.convert(content, Scenario)
     except msgspec.ValidationError as error:
-        problem, _, location = str(error).partition(" - at `$.")
-        raise InputError(f"--{location.rstrip('`').split('.')[0]}: {problem}") from None
+        problem, _, place = str(error).partition(" - at `$.")
+        place = place.rstrip("`")
+        raise InputError(f"{place}: {problem}, got {_value_at(content, place)!r}; change it") from None
+
+
+def _value_at(content: Any, place: str) -> Any:
+    """The part of a specification that a path such as "policy.kind" or "perturbations[0].intensity" names."""
+    for name in re.findall(r"[^.\[\]]+", place):
+        content = content[int(name)] if isinstance(content, list | tuple) else content.get(name)
+    return content
 
 
 def with_recording(scenario: Scenario, recording: Path) -> Scenario:

@@ -150,7 +150,7 @@ def policies_of(names: Sequence[str], scenario: Scenario) -> dict[str, Driver]:
             candidates.append(own if name == "gri" else f"{own}_{name}")
         known = [candidate for candidate in candidates if _exists(candidate)]
         checkpoint = known[0] if known else name
-        checkpoint_path(checkpoint)  # raises if there is no such checkpoint
+        checkpoint_path(checkpoint, "--policy")  # raises if there is no such checkpoint
         found[name.removesuffix(".pt").rpartition("/")[2]] = TrainedPolicy(checkpoint=checkpoint)
     if len(found) < len(names):
         raise InputError(f"--policy: got {', '.join(names)}, expected each policy once, by different names")

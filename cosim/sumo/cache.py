@@ -6,7 +6,7 @@ from typing import TypeVar
 T = TypeVar("T")
 
 
-class CachedAnswers(dict[str, T]):
+class CachedVehicleValues(dict[str, T]):
     """A constant value per vehicle, read from SUMO only once."""
 
     def __init__(self, ask: Callable[[str], T]) -> None:

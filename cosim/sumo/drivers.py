@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 
 import libsumo
 
-from cosim.sumo.cache import CachedAnswers
+from cosim.sumo.cache import CachedVehicleValues
 from cosim.world.snapshot import DriverParameters, LaneTraffic
 
 _raw = libsumo._libsumo  # without the Python wrappers, for what is read of every vehicle in every step
@@ -16,9 +16,9 @@ _LEADER_RANGE = 100.0  # [m] within which leaders are read
 class Drivers:
     """SUMO's drivers in the running simulation; `sizes` are (length, width) of vehicles [m]."""
 
-    def __init__(self, sizes: CachedAnswers[tuple[float, float]]) -> None:
+    def __init__(self, sizes: CachedVehicleValues[tuple[float, float]]) -> None:
         self._sizes = sizes
-        self._min_gaps = CachedAnswers(libsumo.vehicle.getMinGap)
+        self._min_gaps = CachedVehicleValues(libsumo.vehicle.getMinGap)
 
     def read_lanes(self, lanes: Sequence[str]) -> LaneTraffic:
         """Read the vehicles on these lanes and their leaders. The simulation must have no shadow vehicles."""

@@ -15,7 +15,7 @@ from pathlib import Path
 import libsumo
 import numpy as np
 
-from cosim.sumo.cache import CachedAnswers
+from cosim.sumo.cache import CachedVehicleValues
 from cosim.sumo.drivers import Drivers
 from cosim.sumo.net import Net
 from cosim.sumo.positions import SHADOW, PositionReader, without_shadows
@@ -43,7 +43,7 @@ class Sumo:
     """The running simulation, with its network (`net`) and SUMO's drivers (`drivers`). Made by `sumo(...)` only."""
 
     def __init__(self) -> None:
-        self._sizes = CachedAnswers(lambda v: (libsumo.vehicle.getLength(v), libsumo.vehicle.getWidth(v)))
+        self._sizes = CachedVehicleValues(lambda v: (libsumo.vehicle.getLength(v), libsumo.vehicle.getWidth(v)))
         self._sized: tuple[tuple[str, ...], np.ndarray, np.ndarray] = ((), np.empty(0), np.empty(0))
         self.net, self.drivers, self._positions = Net(), Drivers(self._sizes), PositionReader()
         self._modes: dict[str, tuple[int, int]] = {}  # (speed mode, lane-change mode) before take-over

@@ -35,7 +35,7 @@ def renamed(inferred: Types, naming: tuple[int, ...]) -> Types:
     return torch.tensor(naming)[inferred]
 
 
-def best_naming(inferred: Types, true: Types, types: int, move_none: bool) -> tuple[int, ...]:
+def best_label_matching(inferred: Types, true: Types, types: int, move_none: bool) -> tuple[int, ...]:
     """The naming of K = `types` labels with the highest accuracy over all scenes; one naming for the whole data set.
 
     With `move_none`, label 0 is renamed as well. If type 0 sends no message, label 0 has a meaning, however. The

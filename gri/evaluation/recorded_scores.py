@@ -107,7 +107,7 @@ def graph_metrics(model: RelationalModel, scenes: Scenes) -> dict[str, Any]:
     of each type for each edge (`metrics.edge_frequency`); and `diagnostics.shuffle_agreement`.
     """
     inferred, vocabulary = driving_graph(model, scenes).map, model.config.vocabulary
-    naming = graph_scores.best_naming(inferred, scenes.graph, len(vocabulary), move_none=False)
+    naming = graph_scores.best_label_matching(inferred, scenes.graph, len(vocabulary), move_none=False)
     driven = graph_scores.edges_into_driven(inferred), graph_scores.edges_into_driven(scenes.graph)
     return {
         "accuracy": metrics.accuracy(inferred, scenes.graph),

@@ -102,7 +102,7 @@ def cross_validate(job: Job, lane_changes: LaneChanges, model_file: Path) -> dic
         if not len(test) or not len(train):
             continue
         model, reward = checkpoint.load(model_file), checkpoint.load_reward(model_file)
-        some = with_drawn(recorded[train], lane_changes.drawn, protocol.drawn_per_recorded, job.seed)
+        some = with_sampled_scenes(recorded[train], lane_changes.drawn, protocol.drawn_per_recorded, job.seed)
         fine_tune(model, reward, job.training, some, protocol.tuning, job.seed)
         parts.append(measure_model(model, recorded[test], defined_types))
         order.append(test)
@@ -134,7 +134,7 @@ def hypotheses(recorded: Scenes, scenes: RecordedRange) -> Int[np.ndarray, " S"]
     return (recorded.graph[:, pairs(3).index((0, 1))] == yields).numpy().astype(int)
 
 
-def with_drawn(recorded: Scenes, drawn: Scenes, per_recorded: int, seed: int) -> Scenes:
+def with_sampled_scenes(recorded: Scenes, drawn: Scenes, per_recorded: int, seed: int) -> Scenes:
     """Recorded windows and several times as many drawn ones, so that fine-tuning does not forget the latter."""
     generator = torch.Generator().manual_seed(seed)
     some = drawn[torch.randperm(len(drawn), generator=generator)[: per_recorded * len(recorded)]]

@@ -54,7 +54,7 @@ def graph_scores_of(model: RelationalModel, inferred: Tensor, true: Tensor) -> d
     count = len(vocabulary)
     driven = graph_scores.edges_into_driven(inferred), graph_scores.edges_into_driven(true)
     namings = {
-        name: graph_scores.best_naming(inferred, true, count, move_none=move)
+        name: graph_scores.best_label_matching(inferred, true, count, move_none=move)
         for name, move in (("types 1 to K-1", False), ("all types", True))
     }
     return {

@@ -92,7 +92,7 @@ def test_unknown_scenario(tmp_path):
 
 
 def test_bad_override(short):
-    assert "--episodes: Expected `int` >= 1" in refused(short, "run", "short.yaml", "--episodes", "0")
+    assert "episodes: Expected `int` >= 1, got 0; change it" in refused(short, "run", "short.yaml", "--episodes", "0")
 
 
 def test_net_that_crashes_sumo(short):

@@ -6,9 +6,9 @@ import msgspec
 import numpy as np
 
 from cosim.measures.relation_labels import NO_VEHICLE
-from cosim.scenes.candidates import Window, following_chains, merge_window, rows_throughout
+from cosim.scenes.candidates import Window, following_chains, merge_window, rows_at_every_step
 from cosim.scenes.lane_change_requests import LaneChangeEvent
-from cosim.scenes.rules import Rules
+from cosim.scenes.scene_rules import Rules
 from cosim.scenes.trajectory_buffer import COLUMN, COLUMNS, BufferedStep, Lane, VehicleNumbers
 from cosim.world.snapshot import LaneChange
 
@@ -55,10 +55,10 @@ def test_a_leader_in_another_lane_makes_no_chain():
 
 def test_vehicles_that_are_missing_in_a_step_have_no_rows():
     both = [buffered_step(0, {5: 0, 6: 0}, {}), buffered_step(1, {6: 0, 5: 0}, {})]
-    rows = rows_throughout(both, [6, 5])
+    rows = rows_at_every_step(both, [6, 5])
     assert rows is not None
     assert rows.tolist() == [[1, 0], [0, 1]]
-    assert rows_throughout([*both, buffered_step(2, {5: 0}, {})], [6, 5]) is None
+    assert rows_at_every_step([*both, buffered_step(2, {5: 0}, {})], [6, 5]) is None
 
 
 def merge(steps: list[BufferedStep], rules: Rules = RULES, behind: str = "a.1", state: int = STRATEGIC):

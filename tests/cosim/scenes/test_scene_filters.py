@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from cosim.measures.relation_labels import CUT_IN, FOLLOW, NONE, YIELD, PairLabels
-from cosim.scenes.rules import Rules
 from cosim.scenes.scene_filters import violations
+from cosim.scenes.scene_rules import Rules
 from gri.core.graph import pairs
 
 T = 30

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cosim.scenes.rules import HYPOTHESIS, Rules
+from cosim.scenes.scene_rules import HYPOTHESIS, Rules
 from cosim.scenes.seed_scenes import SeedSpec, SeedStatistics, extract_scenes
 from cosim.spec.input_files import find_net
 from cosim.spec.loading import load_scenario

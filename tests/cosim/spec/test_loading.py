@@ -109,7 +109,7 @@ def test_shares_and_classes_of_flows_are_checked(tmp_path, scenario_file):
 def test_overrides_are_checked_like_files():
     scenario = load_scenario("us101_car_following")
     assert override(scenario, {"seed": 7}).seed == 7
-    with pytest.raises(InputError, match="--episodes: Expected `int` >= 1"):
+    with pytest.raises(InputError, match="episodes: Expected `int` >= 1, got 0"):
         override(scenario, {"episodes": 0})
 
 

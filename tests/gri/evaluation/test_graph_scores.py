@@ -6,7 +6,15 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gri.evaluation.graph_scores import best_naming, edge_budget, edges_into_driven, f1, renamed, shuffled, unshuffled
+from gri.evaluation.graph_scores import (
+    best_label_matching,
+    edge_budget,
+    edges_into_driven,
+    f1,
+    renamed,
+    shuffled,
+    unshuffled,
+)
 from gri.evaluation.metrics import proportion
 from gri.training.optimisation import categorical_kl
 
@@ -27,14 +35,14 @@ def test_edges_into_driven_vehicles_leave_out_those_into_the_leader():
 
 def test_swapped_labels_are_renamed_only_where_label_0_may_move():
     swapped = 1 - TRUE
-    assert best_naming(swapped, TRUE, 2, move_none=True) == (1, 0)
+    assert best_label_matching(swapped, TRUE, 2, move_none=True) == (1, 0)
     assert (renamed(swapped, (1, 0)) == TRUE).all()
-    assert best_naming(swapped, TRUE, 2, move_none=False) == (0, 1)
+    assert best_label_matching(swapped, TRUE, 2, move_none=False) == (0, 1)
 
 
 def test_the_best_naming_is_one_for_the_whole_data_set():
     true = torch.tensor([[1, 2, 3], [1, 2, 3]])
-    assert best_naming(torch.tensor([[2, 3, 1], [2, 3, 1]]), true, 4, move_none=False) == (0, 3, 1, 2)
+    assert best_label_matching(torch.tensor([[2, 3, 1], [2, 3, 1]]), true, 4, move_none=False) == (0, 3, 1, 2)
 
 
 @given(st.integers(2, 4), st.lists(st.tuples(st.integers(0, 3), st.integers(0, 3)), min_size=1, max_size=12))
@@ -42,7 +50,7 @@ def test_the_mean_over_all_namings_is_one_over_k_and_the_best_no_less(k: int, ed
     inferred, true = (torch.tensor([[edge[side] % k for edge in edges]]) for side in (0, 1))
     shares = [float((renamed(inferred, order) == true).double().mean()) for order in permutations(range(k))]
     assert sum(shares) / len(shares) == pytest.approx(1 / k)
-    best = best_naming(inferred, true, k, move_none=True)
+    best = best_label_matching(inferred, true, k, move_none=True)
     assert float((renamed(inferred, best) == true).double().mean()) >= 1 / k - 1e-9
 
 
