@@ -4,6 +4,7 @@ import json
 import sys
 import time
 from pathlib import Path
+from textwrap import fill
 from typing import Annotated, Literal
 
 import msgspec
@@ -21,6 +22,7 @@ from gri.terminal import ProgressDisplay, console, fail, next_command, say, show
 # Each command imports what it needs: torch and SUMO take seconds to import, and `--help` should not.
 # Without a markup mode the help is plain text: units in square brackets, such as [s], would vanish as Rich markup.
 
+INDENT = "      "
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 
 
@@ -85,12 +87,13 @@ def list_() -> None:
 
     console.print("scenarios", style="bold")
     for name in shipped_names("scenarios"):
-        say(f"  {name}  {load_scenario(name).description}")
+        say(f"  {name}\n{fill(load_scenario(name).description, 78, initial_indent=INDENT, subsequent_indent=INDENT)}")
     console.print("nets", style="bold")
     for path in sorted(shipped("sumo_nets").glob("*/*.net.xml")):
         say(f"  {path.parent.name}  {path}")
     console.print("checkpoints", style="bold")
-    say(f"  {', '.join(checkpoints())}")
+    for name in checkpoints():
+        say(f"  {name}")
     next_command("cosim run us101_car_following")
 
 

@@ -57,8 +57,8 @@ def test_a_run_has_the_tables_of_its_folder(done):
 def test_progress_is_told_and_ends_complete(done):
     _, seen = done
     assert ("warm-up", 300, 300) in seen
-    assert seen[-2][0] == "episodes"
-    assert seen[-2][1] == seen[-2][2] == 3
+    assert ("episodes", 3, 3) in seen
+    assert seen[-1] == ("picture", 1, 1)
 
 
 def test_the_summary_is_the_terminals(done):
