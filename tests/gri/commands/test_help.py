@@ -16,22 +16,11 @@ def pages() -> dict[str, tuple[object, str]]:
 
 
 def test_help_shows_every_text_with_its_units(pages):
-    """Rich would take [s] and [m] for markup and drop them."""
-    units = set()
-    for name, (command, printed) in pages.items():
-        for parameter in command.params:  # type: ignore[attr-defined]
-            text = getattr(parameter, "help", None) or ""
-            units |= {(name, unit) for unit in re.findall(r"\[[^\]]+\]", text)}
-            assert help_pages.squeezed(text) in help_pages.squeezed(printed), (name, text)
-    assert units >= UNITS
+    help_pages.assert_texts_with_units(pages, UNITS)
 
 
 def test_help_fits_eighty_columns_and_is_not_cut(pages):
-    for name, (_, printed) in pages.items():
-        assert all(len(line) <= 80 for line in printed.splitlines()), name
-        if "Commands:" in printed:
-            listed = printed.partition("Commands:")[2]
-            assert not re.search(r"\.\.\.$", listed, re.MULTILINE), name
+    help_pages.assert_fits_eighty_columns(pages)
 
 
 def test_commands_stand_in_the_order_in_which_one_uses_them(pages):
