@@ -54,7 +54,7 @@ def test_a_data_set_is_one_file_and_a_report(scenario: Path, tmp_path: Path):
     assert provenance["vehicle numbers"]["flows"] == {"0": "through", "1": "leaving", "2": "entering"}
     again = run(scenario, tmp_path / "out", "--count", 6)
     assert again.returncode == 2
-    assert "is there already" in again.stderr
+    assert "exists already" in again.stderr
 
 
 def test_mistakes_are_one_line(scenario: Path, tmp_path: Path):
