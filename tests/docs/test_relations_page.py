@@ -22,3 +22,14 @@ def test_the_page_quotes_the_released_scores():
         assert f"{100 * mean['drivers', 'balanced_accuracy']:.0f}" == accuracy, row
         assert f"{mean['drivers', 'auc']:.2f}" == auc, row
         assert f"{100 * mean['control', 'false_follow']:.0f}" == false, row
+
+
+def test_the_readme_quotes_the_released_scores():
+    table = pd.read_csv(DOCS / "results/relations/relations.csv")
+    part = table[(table["kind"] == "drivers") & (table["score"] == "balanced_accuracy")]
+    mean = part.groupby("row")["value"].mean().mul(100).round().astype(int)
+    text = " ".join((DOCS.parent / "README.md").read_text().split())
+    assert mean["released: us101_car_following"] == mean["everybody follows the next"]
+    constant = mean["everybody follows the next"]
+    assert f"`us101_car_following` has {constant} % balanced accuracy, and so has the constant answer" in text
+    assert f"taught the relations has {mean['labelled classifier (ceiling)']} %" in text
