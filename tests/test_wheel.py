@@ -36,7 +36,7 @@ def test_the_main_job_runs_from_the_wheel(installed, tmp_path):
     where = python(installed, tmp_path, "-c", "import gri, cosim; print(gri.__file__, cosim.__file__)").split()
     assert all(Path(path).is_relative_to(installed) for path in where)
     out = python(installed, tmp_path, "-m", "cosim", "run", "us101_car_following", "--episodes", "4", "--out", "run")
-    assert "Groups driven" in out
+    assert "Driven groups" in out
     groups = pd.read_parquet(tmp_path / "run/groups.parquet")
     assert (groups["driver"] == "gri").sum() >= 4
 
