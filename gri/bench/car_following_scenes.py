@@ -18,6 +18,7 @@ from gri.bench.driver_models import FREE, DriverModel
 from gri.core.edges import pairs
 from gri.core.scenes import Scenes
 
+DT = 0.2  # [s] between two states of a scene
 LENGTH = 5.0  # [m] of every vehicle
 OWN, UNSEEN = -1, -2
 SUBSTEPS = 2  # simulation steps per step of the scene
@@ -30,7 +31,7 @@ class SceneFamily:
     name: str
     vehicles: int = 3
     steps: int = 61
-    dt: float = 0.2
+    dt: float = DT
     speed: tuple[float, float] = (0.0, 33.0)
     speed_spread: float = 1.0
     """Standard deviation of a vehicle's first speed around the scene's."""
@@ -98,6 +99,16 @@ def _uniform(shape: tuple[int, ...], bounds: tuple[float, float], generator: tor
     return low + (high - low) * torch.rand(shape, generator=generator, dtype=torch.float64)
 
 
+def _log_uniform(shape: tuple[int, ...], bounds: tuple[float, float], generator: torch.Generator) -> Tensor:
+    low, high = torch.tensor(bounds).log().tolist()
+    return torch.exp(_uniform(shape, (low, high), generator))
+
+
+def accelerations(v: Float[Tensor, "*B T"]) -> Float[Tensor, "*B T-1"]:
+    """Mean accelerations [m/s²] between the states of a scene."""
+    return (v[..., 1:] - v[..., :-1]) / DT
+
+
 def _draw_leaders(family: SceneFamily, count: int, generator: torch.Generator) -> Int[Tensor, "S N"]:
     """Whom each vehicle reacts to: one of those ahead with equal odds, an unseen leader, or nobody."""
     n = family.vehicles
@@ -145,7 +156,7 @@ def _simulate(
     n, dt = family.vehicles, family.dt / SUBSTEPS
     shape, steps = (count, n), (family.steps - 1) * SUBSTEPS + 1
     # Starts, graph and drivers are drawn independently of each other.
-    headway = torch.exp(_uniform((count, n), tuple(torch.tensor(family.headway).log().tolist()), generator))
+    headway = _log_uniform(shape, family.headway, generator)
     x = (headway.cumsum(1) - headway[:, :1]).clone()
     v = (
         _uniform((count, 1), family.speed, generator)
@@ -160,23 +171,21 @@ def _simulate(
     see_speed = 10 * family.perception_noise * _wander(shape, steps, dt, 2.0, generator)
     act = family.action_noise * _wander(shape, steps, dt, 1.0, generator)
     unseen_x, unseen_v = _unseen_leaders(family, v, steps, dt, generator)
-    unseen_headway = torch.exp(_uniform(shape, tuple(torch.tensor(family.headway).log().tolist()), generator))
-    unseen_x = unseen_x + x + unseen_headway
+    unseen_x = unseen_x + x + _log_uniform(shape, family.headway, generator)
 
     rows = torch.where(leader >= 0, leader, torch.where(leader == UNSEEN, n + torch.arange(n), torch.arange(n)))
     a = torch.zeros(shape, dtype=torch.float64)
-    everybody_x, everybody_v, frames = [], [], []
+    past_x, past_v = (torch.empty(steps, count, 2 * n, dtype=torch.float64) for _ in range(2))
+    scenes, own, frames = torch.arange(count)[:, None], torch.arange(n), []
     for k in range(steps):
-        everybody_x.append(torch.cat([x, unseen_x[k]], 1))
-        everybody_v.append(torch.cat([v, unseen_v[k]], 1))
+        past_x[k], past_v[k] = torch.cat([x, unseen_x[k]], 1), torch.cat([v, unseen_v[k]], 1)
         if k % SUBSTEPS == 0:
             frames.append(torch.stack([x, v, a], -1))
         seen = (k - delay).clamp(min=0)
-        past_x = torch.stack(everybody_x)[seen, torch.arange(count)[:, None], rows]
-        past_v = torch.stack(everybody_v)[seen, torch.arange(count)[:, None], rows]
-        own_past = torch.stack(everybody_x)[seen, torch.arange(count)[:, None], torch.arange(n)]
-        gap = torch.where(leader == OWN, FREE, (past_x - own_past - LENGTH) * see_gap[k])
-        wanted = model.acceleration({**drivers, "v0": wished_path[k].clamp(min=1.0)}, v, gap, past_v + see_speed[k])
+        distance = past_x[seen, scenes, rows] - past_x[seen, scenes, own] - LENGTH
+        gap = torch.where(leader == OWN, FREE, distance * see_gap[k])
+        leader_v = past_v[seen, scenes, rows] + see_speed[k]
+        wanted = model.acceleration({**drivers, "v0": wished_path[k].clamp(min=1.0)}, v, gap, leader_v)
         wanted = (wanted + act[k]).clamp(-8.0, 3.0)
         faster = (v + wanted * dt).clamp(min=0)
         a = (faster - v) / dt

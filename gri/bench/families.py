@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from gri.bench.car_following_scenes import OWN, KnownScenes, SceneFamily, draw_scenes
+from gri.bench.car_following_scenes import OWN, KnownScenes, SceneFamily, accelerations, draw_scenes
 from gri.bench.driver_models import DRIVER_MODELS, IDM, DriverModel
 
 NEAR = SceneFamily("near", headway=(10.0, 50.0))
@@ -115,5 +115,5 @@ def _reversed(scenes: KnownScenes) -> KnownScenes:
     x, v, _ = scenes.state.flip(2).flip(1).unbind(-1)
     x = x.max() - x
     a = torch.zeros_like(v)
-    a[..., 1:] = (v[..., 1:] - v[..., :-1]) / 0.2
+    a[..., 1:] = accelerations(v)
     return _nobody(torch.stack([x, v, a], -1), scenes.acceptance)

@@ -9,10 +9,9 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
-from gri.bench.car_following_scenes import LENGTH, KnownScenes
+from gri.bench.car_following_scenes import LENGTH, KnownScenes, accelerations
 from gri.core.edges import pairs
 
-DT = 0.2  # [s]
 CHANNELS = 7
 
 
@@ -20,7 +19,7 @@ def pair_features(state: Float[Tensor, "S N T 3"]) -> Float[Tensor, "S N N C T"]
     """What a classifier sees of receiver j and candidate k over time, scaled to about one; [scene, j, k]."""
     x, v = state[..., 0], state[..., 1]
     a = torch.zeros_like(v)
-    a[..., 1:] = (v[..., 1:] - v[..., :-1]) / DT
+    a[..., 1:] = accelerations(v)
     receiver, candidate = (slice(None), slice(None), None), (slice(None), None)
     gap = x[candidate] - x[receiver] - LENGTH
     own = v[receiver].expand_as(gap)

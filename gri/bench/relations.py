@@ -17,6 +17,7 @@ import numpy as np
 import pandas as pd
 import torch
 
+from gri.bench.car_following_scenes import DT
 from gri.bench.driver_models import DRIVER_MODELS
 from gri.bench.families import NEAR, WIDE, KnownScenes, TestSet, split, test_sets
 from gri.bench.rows import ROWS, UPDATES, WINDOW, Row
@@ -198,7 +199,7 @@ def card(plan: Plan) -> dict[str, Any]:
         )
     return {
         "version": VERSION,
-        "window_s": round((WINDOW - 1) * 0.2, 3),
+        "window_s": round((WINDOW - 1) * DT, 3),
         "training_scenes_per_model_and_family": plan.training,
         "families": {family.name: asdict(family) for family in (NEAR, WIDE)},
         "driver_models": {model.name: {"source": model.source, **model.ranges} for model in DRIVER_MODELS},

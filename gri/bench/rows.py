@@ -12,13 +12,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from gri import checkpoint
-from gri.bench.car_following_scenes import LENGTH, KnownScenes
+from gri.bench.car_following_scenes import DT, LENGTH, KnownScenes, accelerations
 from gri.bench.pair_classifier import train_classifier
 from gri.bench.relation_posterior import Weights, explain, follow_probabilities
 from gri.core.edges import EdgeType, pairs
 from gri.networks.model import RelationalModel
 
-DT = 0.2  # [s]
 MOST_LAG = 10  # steps
 UPDATES = 1500  # of the taught classifiers
 WINDOW = 31  # frames of 6 s that every row may see
@@ -60,14 +59,9 @@ def _prior(scenes: KnownScenes) -> Float[Tensor, "S E"]:
     return row.repeat(len(scenes), 1)
 
 
-def _accelerations(scenes: KnownScenes) -> Float[Tensor, "S N T"]:
-    v = observed(scenes)[..., 1]
-    return (v[..., 1:] - v[..., :-1]) / DT
-
-
 def _lagged_correlation(scenes: KnownScenes) -> Float[Tensor, "S E"]:
     """Greatest correlation of the sender's acceleration with the receiver's up to 2 s later."""
-    a = _accelerations(scenes)
+    a = accelerations(observed(scenes)[..., 1])
     found = []
     for i, j in pairs(a.shape[1]):
         values = []
@@ -82,7 +76,7 @@ def _lagged_correlation(scenes: KnownScenes) -> Float[Tensor, "S E"]:
 
 def _granger(scenes: KnownScenes) -> Float[Tensor, "S E"]:
     """log F of a Granger test: do four past accelerations of the sender add to four of the receiver's own?"""
-    a, order = _accelerations(scenes), 4
+    a, order = accelerations(observed(scenes)[..., 1]), 4
     found = []
     for i, j in pairs(a.shape[1]):
         y = a[:, j, order:]
