@@ -14,7 +14,7 @@ from torch import Tensor
 from gri import checkpoint
 from gri.bench.car_following_scenes import DT, LENGTH, KnownScenes, accelerations
 from gri.bench.pair_classifier import train_classifier
-from gri.bench.relation_posterior import Weights, explain, follow_probabilities
+from gri.relations.closed_form_posterior import Weights, explain, follow_probabilities
 from gri.core.edges import EdgeType, pairs
 from gri.networks.model import RelationalModel
 

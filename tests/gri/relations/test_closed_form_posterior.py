@@ -9,7 +9,7 @@ from scipy.stats import multivariate_normal
 
 from gri.bench.car_following_scenes import SceneFamily, draw_scenes
 from gri.bench.driver_models import LINEAR
-from gri.bench.relation_posterior import Explanations, Grid, Weights, _gaussian, explain, follow_probabilities
+from gri.relations.closed_form_posterior import Explanations, Grid, Weights, _gaussian, explain, follow_probabilities
 from gri.bench.scores import balanced_accuracy, false_follow
 from gri.core.edges import pairs
 

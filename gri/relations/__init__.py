@@ -1,0 +1,6 @@
+"""What an edge means in terms of reactions, and the probability of each edge given how vehicles moved; without labels.
+
+A vehicle's motion is explained by one reaction at a time: to a vehicle of the scene, to one that is not in the scene,
+or to none. `closed_form_posterior` compares these explanations in closed form. Training and the benchmark use it.
+Begin with `closed_form_posterior`.
+"""
