@@ -14,9 +14,9 @@ from torch import Tensor
 from gri import checkpoint
 from gri.bench.car_following_scenes import DT, LENGTH, KnownScenes, accelerations
 from gri.bench.pair_classifier import train_classifier
-from gri.relations.closed_form_posterior import Weights, explain, follow_probabilities
 from gri.core.edges import EdgeType, pairs
 from gri.networks.model import RelationalModel
+from gri.relations.closed_form_posterior import Weights, explain, follow_probabilities
 
 MOST_LAG = 10  # steps
 UPDATES = 1500  # of the taught classifiers

@@ -9,9 +9,9 @@ from scipy.stats import multivariate_normal
 
 from gri.bench.car_following_scenes import SceneFamily, draw_scenes
 from gri.bench.driver_models import LINEAR
-from gri.relations.closed_form_posterior import Explanations, Grid, Weights, _gaussian, explain, follow_probabilities
 from gri.bench.scores import balanced_accuracy, false_follow
 from gri.core.edges import pairs
+from gri.relations.closed_form_posterior import Explanations, Grid, Weights, _gaussian, explain, follow_probabilities
 
 NEAR = SceneFamily("near", headway=(10.0, 50.0), action_noise=0.05, perception_noise=0.01)
 AHEAD = [edge for edge, (i, j) in enumerate(pairs(3)) if i > j]
