@@ -32,6 +32,10 @@ class InteractionGraph:
 
     logits: Float[Tensor, "B E K"]
     vocabulary: Vocabulary
+    unknown: Float[Tensor, " B"] | None = None
+    """How far the history is from all that the model was trained on; above 1 the model does not know such scenes. None:
+    the model cannot tell.
+    """
 
     def __post_init__(self) -> None:
         assert self.logits.shape[-1] == len(self.vocabulary), f"{self.logits.shape} does not fit {self.vocabulary}"
@@ -78,7 +82,8 @@ class InteractionGraph:
 
     def __getitem__(self, scenes: Tensor | slice) -> "InteractionGraph":
         """The graphs of the selected groups."""
-        return InteractionGraph(self.logits[scenes], self.vocabulary)
+        unknown = None if self.unknown is None else self.unknown[scenes]
+        return InteractionGraph(self.logits[scenes], self.vocabulary, unknown)
 
     def edges(self, scene: int = 0) -> dict[tuple[int, int], tuple[EdgeType, float]]:
         """`{(sender, receiver): (most probable type, its probability)}` of one group, without pairs of type none."""

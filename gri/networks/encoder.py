@@ -54,6 +54,11 @@ class Encoder(nn.Module):
         self.node = nn.Sequential(mlp([hidden, hidden, hidden]), nn.SiLU())
         self.edge_2 = mlp([(3 if config.skip else 2) * hidden, hidden, edge_types], last_scale=0.1)
 
+    @property
+    def least_steps(self) -> int:
+        """Fewest instants of a history: a convolution must see more than its padding."""
+        return self.config.kernel
+
     def forward(self, state: Float[Tensor, "B N T D"]) -> Float[Tensor, "B E K"]:
         """Logits of the edge types, from states in SI units."""
         n = state.shape[1]

@@ -19,6 +19,8 @@ from gri.core.trajectory import Trajectory
 from gri.networks import fast_decoder
 from gri.networks.decoder import Decoder, DecoderConfig, dense
 from gri.networks.encoder import Encoder, EncoderConfig
+from gri.networks.novelty import Novelty
+from gri.networks.pair_encoder import PairEncoder, PairEncoderConfig
 
 
 class Edge(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -67,7 +69,9 @@ class ModelConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     scale: Scale = CAR_FOLLOWING_PAPER
     decoder: DecoderConfig = DecoderConfig()
     encoder: EncoderConfig | None = EncoderConfig()
-    """None: the model always uses `graph`."""
+    """None: the model always uses `graph`, unless it has a `pair_encoder`."""
+    pair_encoder: PairEncoderConfig | msgspec.UnsetType = msgspec.UNSET
+    """Infer the graph by comparing explanations of each vehicle's motion, instead of by the paper's `encoder`."""
     graph: tuple[Edge, ...] = CHAIN
     """The graph of a model without an encoder."""
     told_graph: bool = True
@@ -88,7 +92,9 @@ class RelationalModel(nn.Module):
         self.config = config
         types = len(config.vocabulary)
         self.decoder = Decoder(config.decoder, config.scale, types)
-        self.encoder = Encoder(config.encoder, config.scale, types, config.dt) if config.encoder else None
+        self.encoder = _encoder(config)
+        speed = self.dynamics.speed
+        self.novelty = None if config.pair_encoder is msgspec.UNSET else Novelty(REFERENCE, speed, config.dt)
         self._bound: tuple[InteractionGraph, Drive] | None = None  # the graph of the last `act`, and its driver
 
     @property
@@ -107,9 +113,14 @@ class RelationalModel(nn.Module):
         return self.config.history_steps
 
     def infer(self, state: Float[Tensor, "B N T D"]) -> InteractionGraph:
-        """The graph that the encoder infers from these states; without an encoder, the graph of the configuration."""
+        """The graph that the encoder infers from these states; without an encoder, the graph of the configuration.
+
+        Raises `ValueError` if a state is not finite, or if the encoder needs a longer history.
+        """
         if self.encoder is not None:
-            return InteractionGraph(self.encoder(state), self.config.vocabulary)
+            _check_history(state, self.encoder.least_steps)
+            unknown = None if self.novelty is None else self.novelty(state)
+            return InteractionGraph(self.encoder(state), self.config.vocabulary, unknown)
         edges = {(edge.sender, edge.receiver): edge.type for edge in self.config.graph}
         return InteractionGraph.of_edges(edges, self.config.vocabulary, n=state.shape[1], batch=state.shape[0])
 
@@ -117,7 +128,8 @@ class RelationalModel(nn.Module):
     def begin(self, history: Trajectory) -> PolicyState:
         """Infer the graph from the last `history_steps` states.
 
-        Raises `ValueError` if a state is missing (`valid` is False) or if the history has another sampling time.
+        Raises `ValueError` if a state is missing (`valid` is False) or not finite, or if the history has another
+        sampling time. A model with an encoder also raises it for a history that is too short.
         """
         missing = int((~history.valid).sum())
         if missing:
@@ -127,6 +139,9 @@ class RelationalModel(nn.Module):
             )
         if abs(history.dt - self.dt) > 1e-6:
             raise ValueError(f"got a history sampled every {history.dt} s, the model wants {self.dt} s; resample it")
+        got = history.state.shape[2]
+        if self.encoder is not None and got < self.history_steps:
+            raise ValueError(f"got a history of {got} states, the model wants {self.history_steps}; give a longer one")
         return PolicyState(self.infer(history.state[:, :, -self.history_steps :]), self.memory(history.initial))
 
     def memory(self, state: Float[Tensor, "B N D"]) -> Float[Tensor, "B N H"]:
@@ -166,6 +181,25 @@ class RelationalModel(nn.Module):
         moved = self.dynamics.step(state, action, self.dt)
         stop = self.dynamics.stop if self.config.never_reverse else None
         return moved if stop is None else stop(state, moved)
+
+
+REFERENCE = 2000  # vehicles of training scenes that new scenes are compared with
+
+
+def _encoder(config: ModelConfig) -> Encoder | PairEncoder | None:
+    if config.pair_encoder is not msgspec.UNSET:
+        assert config.vocabulary == FOLLOWING, f"a pair encoder infers {FOLLOWING}, got {config.vocabulary}"
+        return PairEncoder(config.pair_encoder, dynamics_named(config.dynamics).speed, config.dt)
+    return Encoder(config.encoder, config.scale, len(config.vocabulary), config.dt) if config.encoder else None
+
+
+def _check_history(state: Float[Tensor, "B N T D"], least_steps: int) -> None:
+    if not bool(torch.isfinite(state).all()):
+        raise ValueError(
+            "got states that are not finite, wanted numbers; leave out vehicles that were not seen throughout"
+        )
+    if state.shape[2] < least_steps:
+        raise ValueError(f"got a history of {state.shape[2]} states, wanted at least {least_steps}; give a longer one")
 
 
 def relative(state: Float[Tensor, "B N D"]) -> Float[Tensor, "B N D"]:

@@ -70,7 +70,7 @@ def test_far_down_the_road_it_drives_as_at_the_start(model: RelationalModel, gen
 
 def test_recurrent_memory_goes_from_step_to_step(generator: torch.Generator):
     torch.manual_seed(0)
-    config = ModelConfig(decoder=ModelConfig().decoder.__class__(kind="recurrent", hidden=8))
+    config = ModelConfig(history_steps=10, decoder=ModelConfig().decoder.__class__(kind="recurrent", hidden=8))
     model, seen = RelationalModel(config), history(generator)
     first, state = drive(model, seen)
     second, _ = model.act(state, seen.final)
@@ -112,3 +112,19 @@ def test_it_drives_by_its_decoder(kind: Literal["feed_forward", "recurrent"], ge
     expected, recurrent = act(relative(seen.final), model.memory(seen.final))
     torch.testing.assert_close(action, expected, rtol=1e-5, atol=1e-6)
     torch.testing.assert_close(memory.memory, recurrent)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_states_that_are_not_finite_are_an_error_and_not_an_empty_graph(model: RelationalModel, value: float):
+    state = torch.zeros(1, 3, 10, 3)
+    state[0, 1, 4, 1] = value
+    with pytest.raises(ValueError, match="not finite"):
+        model.infer(state)
+
+
+def test_a_history_that_is_too_short_is_an_error(model: RelationalModel, generator: torch.Generator):
+    with pytest.raises(ValueError, match="4 states, wanted at least 5"):
+        model.infer(torch.zeros(1, 3, 4, 3))
+    seen = history(generator)
+    with pytest.raises(ValueError, match="9 states, the model wants 10"):
+        model.begin(Trajectory(seen.state[:, :, :9], seen.valid[:, :, :9], 0.2))

@@ -1,0 +1,209 @@
+"""An encoder that compares explanations of each vehicle's motion: whom it reacts to, an unseen leader, or nobody.
+
+The paper's encoder (`gri.networks.encoder`) judges each ordered pair alone and may answer anything. This one has the
+structure of the answer built in, in training and at inference:
+
+    e_jk = f(series of the pair, statistics of the pair)          for every vehicle k ahead of vehicle j
+    c_j  = (mean of e_jk over k, largest e_jk over k)
+    q(j reacts to k | τ) = softmax over {own speed, unseen leader, every k} of (g_null(c_j), g_follow(e_jk, c_j))
+
+A vehicle follows at most one other vehicle, and only one that is ahead. The pair's series are the gap, both speeds and
+both accelerations, on the scale of drivers and on the scale of their own variation. The statistics are those of ridge
+regressions of j's acceleration on what j would see of k, at several delays. Nothing depends on the number of vehicles.
+"""
+
+from typing import NamedTuple
+
+import msgspec
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+
+from gri.core.edges import pairs
+
+LENGTH = 5.0  # [m] of every vehicle
+LEAST_GAP = 0.5  # [m]
+DELAYS = (0.0, 0.4, 0.8)  # [s] of the regressions
+NEVER = -30.0  # logit
+SERIES, STATISTICS = 18, 4 + 10 * len(DELAYS)  # channels
+
+
+class PairEncoderConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Size of the encoder."""
+
+    hidden: int = 48
+    """Units per hidden layer."""
+    kernel: int = 5
+    """Width of the convolutions [time steps]."""
+    heads: int = 4
+    """Number of attention heads that pool over time."""
+
+
+class Pairs(NamedTuple):
+    """The P pairs with a vehicle ahead: indices of the scene, of the receiver j and of the sender k."""
+
+    scene: Tensor
+    receiver: Tensor
+    sender: Tensor
+
+
+class PairEncoder(nn.Module):
+    """Logits of none and follow for all ordered pairs, from positions and speeds."""
+
+    def __init__(self, config: PairEncoderConfig, speed: int, dt: float) -> None:
+        """`speed`: index of the speed among the state features."""
+        super().__init__()
+        self.config, self.speed, self.dt = config, speed, dt
+        h, k = config.hidden, config.kernel
+        self.convolutions = nn.Sequential(
+            nn.Conv1d(SERIES, h, k, padding=k // 2),
+            nn.SiLU(),
+            nn.Conv1d(h, h, k, padding=k // 2, stride=2),
+            nn.SiLU(),
+            nn.Conv1d(h, h, k, padding=k // 2),
+            nn.SiLU(),
+        )
+        self.attention = nn.Conv1d(h, config.heads, 1)
+        self.pair = nn.Sequential(nn.Linear(3 * h + STATISTICS, 2 * h), nn.SiLU(), nn.Linear(2 * h, h), nn.SiLU())
+        self.follow = nn.Sequential(nn.Linear(3 * h, h), nn.SiLU(), nn.Linear(h, 1))
+        self.nulls = nn.Sequential(nn.Linear(2 * h, h), nn.SiLU(), nn.Linear(h, 2))
+
+    @property
+    def least_steps(self) -> int:
+        """Fewest instants of a history."""
+        return round(max(DELAYS) / self.dt) + 10
+
+    def forward(self, state: Float[Tensor, "B N T D"]) -> Float[Tensor, "B E 2"]:
+        """Log probabilities of none and follow, in the order of `gri.pairs`."""
+        shares = self.explanations(state)[..., 2:]
+        follow = torch.stack([shares[:, j, i] for i, j in pairs(state.shape[1])], 1)
+        return torch.stack([1 - follow, follow], -1).clamp(min=1e-13).log()
+
+    def explanations(self, state: Float[Tensor, "B N T D"]) -> Float[Tensor, "B N 2+N"]:
+        """Probabilities of the explanations of each vehicle's motion: own speed, unseen leader, vehicle k."""
+        return self.scores(state).softmax(-1)
+
+    def scores(self, state: Float[Tensor, "B N T D"]) -> Float[Tensor, "B N 2+N"]:
+        """Logits of the explanations; those of vehicles that are not ahead at the last instant are `NEVER`."""
+        x, v = state[..., 0], state[..., self.speed]
+        b, n, _ = x.shape
+        ahead = x[:, None, :, -1] > x[:, :, None, -1]
+        which = Pairs(*ahead.nonzero(as_tuple=True))
+        embedded = self._embed(x - x.mean((1, 2), keepdim=True), v, which)
+        context = _context(embedded, which, ahead)
+        follow = self.follow(torch.cat([embedded, context[which.scene, which.receiver]], -1))[:, 0]
+        scores = follow.new_full((b, n, n), NEVER).index_put(tuple(which), follow)
+        return torch.cat([self.nulls(context), scores], -1)
+
+    def _embed(self, x: Float[Tensor, "B N T"], v: Float[Tensor, "B N T"], which: Pairs) -> Float[Tensor, "P H"]:
+        motion = pair_motion(x, v, which, self.dt)
+        features = self.convolutions(_series(motion, self.dt))
+        weight = self.attention(features).softmax(-1)
+        heads = features.unflatten(1, (self.config.heads, -1))
+        pooled = [(heads * weight[:, :, None]).sum(-1).flatten(1), features.mean(-1), features.amax(-1)]
+        return self.pair(torch.cat([*pooled, _statistics(motion, self.dt)], -1))
+
+
+class PairMotion(NamedTuple):
+    """How the vehicles of P pairs move."""
+
+    gap: Float[Tensor, "P T"]
+    """[m]"""
+    receiver: Float[Tensor, "P T"]
+    """Speed [m/s]."""
+    sender: Float[Tensor, "P T"]
+    receiver_a: Float[Tensor, "P T"]
+    """Acceleration [m/s²]."""
+    sender_a: Float[Tensor, "P T"]
+
+
+def pair_motion(x: Float[Tensor, "B N T"], v: Float[Tensor, "B N T"], which: Pairs, dt: float) -> PairMotion:
+    """Gaps, smoothed speeds, and their derivatives."""
+    padded = torch.cat([2 * v[..., :1] - v[..., 1:2], v, 2 * v[..., -1:] - v[..., -2:-1]], -1)
+    v = padded[..., :-2] / 4 + padded[..., 1:-1] / 2 + padded[..., 2:] / 4
+    inner = (v[..., 2:] - v[..., :-2]) / (2 * dt)
+    a = torch.cat([inner[..., :1], inner, inner[..., -1:]], -1)
+    scene, j, k = which
+    gap = (x[scene, k] - x[scene, j] - LENGTH).clamp(min=LEAST_GAP)
+    return PairMotion(gap, v[scene, j], v[scene, k], a[scene, j], a[scene, k])
+
+
+def _context(embedded: Float[Tensor, "P H"], which: Pairs, ahead: Bool[Tensor, "B N N"]) -> Float[Tensor, "B N 2*H"]:
+    """Mean and maximum over the vehicles ahead; zero where there is none."""
+    every = embedded.new_zeros(*ahead.shape, embedded.shape[-1]).index_put(tuple(which), embedded)
+    mean = every.sum(2) / ahead.sum(2, keepdim=True).clamp(min=1)
+    largest = every.masked_fill(~ahead[..., None], -torch.inf).amax(2)
+    return torch.cat([mean, largest.masked_fill(~ahead.any(2)[..., None], 0.0)], -1)
+
+
+def _normalised(series: Float[Tensor, "P T"], floor: float = 0.02) -> Float[Tensor, "P T"]:
+    centred = series - series.mean(-1, keepdim=True)
+    return centred / (centred.square().mean(-1, keepdim=True).sqrt() + floor)
+
+
+def _series(motion: PairMotion, dt: float) -> Float[Tensor, "P C T"]:
+    gap, own, other, own_a, other_a = motion
+    time = (torch.arange(1 - gap.shape[-1], 1, dtype=gap.dtype) * dt / 4.0).expand_as(gap)  # Units: 4 s
+    reaction, space, difference, cause = (_normalised(s) for s in (own_a, gap, other - own, other_a))
+    on_the_scale_of_drivers = [
+        gap.log() / 2 - 1.5,
+        (gap / (own + 3)).clamp(0, 20) / 4 - 0.5,
+        (other - own) / 3,
+        own / 15 - 1,
+        own_a,
+        other_a,
+        (5 * own_a).tanh(),
+        (5 * other_a).tanh(),
+    ]
+    on_their_own_scale = [_normalised(own), _normalised(other), space, reaction, cause, difference, time]
+    products = [reaction * difference, reaction * space, reaction * cause]
+    return torch.stack(on_the_scale_of_drivers + on_their_own_scale + products, 1)
+
+
+def _statistics(motion: PairMotion, dt: float) -> Float[Tensor, "P F"]:
+    """Coefficients, t-values and gains in fit of the regressions, squashed to about one."""
+    gap, own, other, own_a, _ = motion
+    first = round(max(DELAYS) / dt)
+    y, v = own_a[:, first:], own[:, first:]
+    alone = _ridge(y, [v / 2])
+    floor = 1e-4  # [m²/s⁴]
+    found = [
+        (alone.residual + floor).log() / 4,
+        (y.var(-1, correction=0) + floor).log() / 4,
+        *alone.coefficients.tanh().unbind(-1),
+        *(alone.t / 5).tanh().unbind(-1),
+    ]
+    for delay in DELAYS:
+        start = first - round(delay / dt)
+        late = slice(start, start + y.shape[-1])
+        full = _ridge(y, [v / 2, (other - own)[:, late], gap[:, late] / 10])
+        speed = _ridge(y, [v / 2, other[:, late]])
+        found += [
+            ((alone.residual + floor) / (full.residual + floor)).log(),
+            *(full.t / 6).tanh().unbind(-1),
+            *(2 * full.coefficients).tanh().unbind(-1),
+            ((alone.residual + floor) / (speed.residual + floor)).log(),
+            *(speed.t / 6).tanh().unbind(-1),
+        ]
+    return torch.stack(found, -1)
+
+
+class Fit(NamedTuple):
+    """A ridge regression of each of P series on C others."""
+
+    residual: Float[Tensor, " P"]
+    """Variance of what is left."""
+    coefficients: Float[Tensor, "P C"]
+    t: Float[Tensor, "P C"]
+
+
+def _ridge(y: Float[Tensor, "P T"], columns: list[Float[Tensor, "P T"]]) -> Fit:
+    y = y - y.mean(-1, keepdim=True)
+    design = torch.stack(columns, -1)
+    design = design - design.mean(1, keepdim=True)
+    gram = design.mT @ design + 1e-5 * y.shape[-1] * torch.eye(len(columns), dtype=y.dtype)
+    inverse = torch.linalg.inv(gram)
+    coefficients = (inverse @ (design.mT @ y[..., None]))[..., 0]
+    residual = (y - (design @ coefficients[..., None])[..., 0]).square().mean(-1)
+    error = (inverse.diagonal(dim1=-2, dim2=-1) * (residual[:, None] + 1e-5)).sqrt()
+    return Fit(residual, coefficients, coefficients / error)

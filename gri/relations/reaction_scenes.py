@@ -1,0 +1,262 @@
+"""Rows of vehicles in which it is drawn who reacts to whom: what "follow" means, with everything else left open.
+
+An edge k → j of type "follow" says one thing about vehicle j: its acceleration is bounded by a reaction to vehicle k
+that grows with the gap and with k's speed. How strong, how late and in which form it reacts is a latent of each driver
+with a broad prior (`ReactionPrior`). A vehicle without an edge keeps a wished speed of its own, or reacts in the same
+way to a leader that is not observed. So the null is fair: unobserved leaders make vehicles move like followers.
+
+`draw_reactions` draws from this model, and `gri.training.relations` teaches the encoder to invert it. That is the
+posterior over graphs with all latents integrated out, without one constant of an expert.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import msgspec
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+OWN, UNSEEN = -1, -2
+LEAST_GAP = 0.5  # [m]
+SUBSTEPS = 2  # steps of the simulation per step of the scene
+LENGTH = 5.0  # [m]
+
+Span = tuple[float, float]
+
+
+class ReactionPrior(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """What drivers, starts and noise are drawn from. Spans are log-uniform, except where a field says uniform."""
+
+    vehicles: int = 5
+    speed: Span = (0.0, 38.0)
+    """First speed of a scene [m/s], uniform."""
+    headway: Span = (5.0, 400.0)
+    """First headways, front to front [m]."""
+    time_gap: Span = (0.5, 2.8)
+    """[s]"""
+    standstill: Span = (1.0, 7.0)
+    """Gap at rest [m]."""
+    gap_gain: Span = (0.02, 0.5)
+    """Acceleration per metre of gap [1/s²]."""
+    speed_gain: Span = (0.05, 1.2)
+    """Acceleration per speed difference [1/s]."""
+    own_gain: Span = (0.03, 0.8)
+    """Acceleration per difference from the wished speed [1/s]."""
+    acceleration: Span = (0.6, 3.0)
+    """Largest one [m/s²]."""
+    deceleration: Span = (1.2, 5.0)
+    """Comfortable one [m/s²]."""
+    delay: Span = (0.0, 1.0)
+    """Of the reaction [s], uniform."""
+    lag: Span = (0.0, 0.7)
+    """Time constant of the actuator [s], uniform."""
+    action_noise: Span = (0.005, 0.6)
+    """[m/s²]"""
+    perception_noise: Span = (0.001, 0.06)
+    """Of the gap, relative."""
+    speed_noise: Span = (0.001, 0.2)
+    """Of measured speeds [m/s]; half of the scenes have none."""
+    follows: float = 0.6
+    """Probability that a vehicle with others ahead reacts to one of them."""
+    next_ahead: float = 0.6
+    """Probability that this one is the next ahead; else any of those ahead."""
+    settle: tuple[float, ...] = (0.0, 0.0, 2.0, 6.0, 20.0)
+    """Seconds from the start of the simulation to the start of a scene: some traffic has settled, some has not."""
+    unseen: float = 0.5
+    """Probability that a vehicle without an edge reacts to a leader that is not observed."""
+
+
+@dataclass(frozen=True)
+class Reactions:
+    """Scenes with drawn relations; vehicle N−1 is the foremost."""
+
+    x: Float[Tensor, "S N T"]
+    """Front bumpers [m]."""
+    v: Float[Tensor, "S N T"]
+    """[m/s]"""
+    leader: Int[Tensor, "S N"]
+    """The vehicle that each vehicle reacts to, or `OWN`, or `UNSEEN`."""
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+    def __getitem__(self, rows: Tensor | slice) -> "Reactions":
+        return Reactions(self.x[rows], self.v[rows], self.leader[rows])
+
+
+def draw_reactions(prior: ReactionPrior, count: int, steps: int, dt: float, generator: torch.Generator) -> Reactions:
+    """`count` scenes of `steps` states, less those in which vehicles touch."""
+    parts = [_simulate(prior, count // len(prior.settle), steps, dt, settle, generator) for settle in prior.settle]
+    return Reactions(*(torch.cat([getattr(part, name) for part in parts]) for name in ("x", "v", "leader")))
+
+
+def _simulate(
+    prior: ReactionPrior, count: int, steps: int, dt: float, settle: float, generator: torch.Generator
+) -> Reactions:
+    n, step = prior.vehicles, dt / SUBSTEPS
+    shape = (count, n)
+
+    def draw(span: Span) -> Tensor:
+        low, high = torch.tensor(span).log().tolist()
+        return (low + (high - low) * torch.rand(shape, generator=generator)).exp()
+
+    def uniform(span: Span, size: tuple[int, ...] = shape) -> Tensor:
+        return span[0] + (span[1] - span[0]) * torch.rand(size, generator=generator)
+
+    def chance(p: float, size: tuple[int, ...] = shape) -> Tensor:
+        return torch.rand(size, generator=generator) < p
+
+    settling = int(settle / step)
+    total = settling + (steps - 1) * SUBSTEPS + 1
+    speed = uniform(prior.speed, (count, 1))
+    v = (speed + torch.randn(shape, generator=generator) * uniform((0.0, 2.0), (count, 1))).clamp(min=0)
+    driver = Drivers(
+        own_gain=draw(prior.own_gain),
+        gap_gain=draw(prior.gap_gain),
+        speed_gain=draw(prior.speed_gain),
+        time_gap=draw(prior.time_gap),
+        standstill=draw(prior.standstill),
+        acceleration=draw(prior.acceleration),
+        deceleration=draw(prior.deceleration),
+        form=torch.randint(len(FORMS), shape, generator=generator),
+        additive=chance(0.3),
+        saturating=chance(0.5),
+    )
+    # Half of the scenes begin with headways that suit the speeds, the others with any.
+    suited = driver.standstill + driver.time_gap * v + LENGTH
+    suited = suited * (0.35 * torch.randn(shape, generator=generator)).exp()
+    headway = torch.where(chance(0.5, (count, 1)), draw(prior.headway), suited).clamp(min=LENGTH + 1.0)
+    x = torch.cat([torch.zeros(count, 1), headway[:, 1:].cumsum(1)], 1)
+    leader = _leaders(prior, count, generator)
+    surplus = torch.where(chance(0.5), uniform((-2.0, 8.0)), 0.5 * torch.randn(shape, generator=generator))
+    wished = (v + surplus).clamp(min=1.0)
+    unseen_headway = torch.where(chance(0.5), draw(prior.headway), suited)
+    delay = (uniform(prior.delay) / step).round().long() * chance(0.8)
+    keep = torch.exp(-step / uniform(prior.lag).clamp(min=1e-3)) * chance(0.7)
+    act = Wander(draw(prior.action_noise), uniform((0.2, 3.0)), step, generator)
+    wish = Wander(uniform((0.0, 1.8)) * chance(0.8), uniform((2.0, 20.0)), step, generator)
+    see = Wander(draw(prior.perception_noise) * chance(0.6), uniform((0.5, 4.0)), step, generator)
+    outside = Outside(x + unseen_headway, v, prior.speed[1] + 4.0, uniform((0.2, 2.5)), step, generator)
+    everybody = torch.arange(n)
+    rows = torch.where(leader >= 0, leader, torch.where(leader == UNSEEN, n + everybody, everybody))
+    scene, most = torch.arange(count)[:, None], int(delay.max()) + 1
+    past = torch.zeros(most, 2, count, 2 * n)
+    a, frames = torch.zeros(shape), []
+    for k in range(total):
+        past[k % most, 0] = torch.cat([x, outside.x], 1)
+        past[k % most, 1] = torch.cat([v, outside.v], 1)
+        if k >= settling and (k - settling) % SUBSTEPS == 0:
+            frames.append(torch.stack([x, v], -1))
+        late = (k - delay.clamp(max=k)) % most
+        gap = (past[late, 0, scene, rows] - past[late, 0, scene, everybody] - LENGTH) * (1 + see())
+        target = driver.acceleration_wanted(
+            v, gap, past[late, 1, scene, rows] + 5 * see.value, wished + wish(), leader == OWN
+        )
+        a = keep * a + (1 - keep) * target.clamp(-8.0, 4.0)
+        faster = (v + (a + act()) * step).clamp(min=0)
+        x, v = x + (v + faster) / 2 * step, faster
+        outside.advance()
+    states = torch.stack(frames, 2)
+    apart = (states[:, 1:, :, 0] - states[:, :-1, :, 0] > LENGTH + 0.3).all(-1).all(-1)
+    states, leader = states[apart], leader[apart]
+    return Reactions(states[..., 0], states[..., 1], leader)
+
+
+def _leaders(prior: ReactionPrior, count: int, generator: torch.Generator) -> Int[Tensor, "S N"]:
+    """Whom each vehicle reacts to, independent of positions beyond their order."""
+    n = prior.vehicles
+    ahead = torch.arange(n - 1, -1, -1)
+    draws = torch.rand((4, count, n), generator=generator)
+    other = torch.arange(n) + 1 + (draws[0] * ahead).long().clamp(max=(ahead - 1).clamp(min=0))
+    chosen = torch.where(draws[1] < prior.next_ahead, torch.arange(n) + 1, other)
+    nobody = torch.where(draws[2] < prior.unseen, UNSEEN, OWN)
+    return torch.where((draws[3] < prior.follows) & (ahead > 0), chosen, nobody)
+
+
+@dataclass(frozen=True)
+class Drivers:
+    """Latents of S × N drivers."""
+
+    own_gain: Tensor
+    gap_gain: Tensor
+    speed_gain: Tensor
+    time_gap: Tensor
+    standstill: Tensor
+    acceleration: Tensor
+    deceleration: Tensor
+    form: Tensor
+    additive: Tensor
+    """Whether the reaction is added to the wish for an own speed; else the lower acceleration counts."""
+    saturating: Tensor
+    """Whether the wish for an own speed fades only near that speed; else it is linear in the difference."""
+
+    def acceleration_wanted(self, v: Tensor, gap: Tensor, leader: Tensor, wished: Tensor, alone: Tensor) -> Tensor:
+        """[m/s²], by the gap [m] and the speeds [m/s]."""
+        linear = (self.own_gain * (wished - v)).clamp(max=self.acceleration)
+        late = self.acceleration * (1 - (v / wished.clamp(min=1.0)) ** (1 + 6 * self.own_gain)).clamp(min=-3.0)
+        own = torch.where(self.saturating, late, linear)
+        reaction = torch.stack([form(self, v, gap, leader) for form in FORMS], -1)
+        reaction = reaction.gather(-1, self.form[..., None])[..., 0]
+        sum_of_both = own.clamp(min=-2.0) / 2 + reaction
+        both = torch.where(self.additive & (self.form != 2), sum_of_both, torch.minimum(own, reaction))
+        return torch.where(alone, own, both)
+
+
+def _linear(d: Drivers, v: Tensor, gap: Tensor, leader: Tensor) -> Tensor:
+    """Linear in the gap and the speed difference, with a bounded wish to close up; both fade over long gaps."""
+    error = gap - d.standstill - d.time_gap * v
+    return (d.gap_gain * error).clamp(max=1.5) + d.speed_gain * (leader - v)
+
+
+def _ratio(d: Drivers, v: Tensor, gap: Tensor, leader: Tensor) -> Tensor:
+    """By the ratio of the wanted gap and the gap, whose exponent is 1 to 3."""
+    wanted = d.standstill + (d.time_gap * v + v * (v - leader) * d.speed_gain).clamp(min=0)
+    ratio = (wanted / gap.clamp(min=LEAST_GAP)).clamp(max=6.0)
+    return d.acceleration * (1 - ratio ** (1.0 + 4.0 * d.own_gain))
+
+
+def _safe_speed(d: Drivers, v: Tensor, gap: Tensor, leader: Tensor) -> Tensor:
+    """One-sided: brakes or accelerates to the speed from which it can still stop behind the leader."""
+    tau = d.time_gap
+    room = (gap - d.standstill).clamp(min=-20.0)
+    inside = (d.deceleration * tau) ** 2 + leader.clamp(min=0) ** 2 + 2 * d.deceleration * room
+    safe = -d.deceleration * tau + inside.clamp(min=0).sqrt()
+    return torch.minimum((safe - v) / (0.5 + 2 * d.own_gain), d.acceleration)
+
+
+FORMS: tuple[Callable[[Drivers, Tensor, Tensor, Tensor], Tensor], ...] = (_linear, _ratio, _safe_speed)
+
+
+class Wander:
+    """An Ornstein–Uhlenbeck process with given standard deviations and correlation times [s]."""
+
+    def __init__(self, sd: Tensor, time: Tensor, dt: float, generator: torch.Generator) -> None:
+        self.keep = torch.exp(-dt / time)
+        self.jump = sd * (1 - self.keep**2).sqrt()
+        self.generator = generator
+        self.value = sd * torch.randn(sd.shape, generator=generator)
+
+    def __call__(self) -> Tensor:
+        """The next value."""
+        self.value = self.keep * self.value + self.jump * torch.randn(self.jump.shape, generator=self.generator)
+        return self.value
+
+
+class Outside:
+    """Leaders that are not observed: phases of constant acceleration, at times to a stop."""
+
+    def __init__(self, x: Tensor, v: Tensor, fastest: float, sd: Tensor, dt: float, generator: torch.Generator) -> None:
+        self.x, self.v, self.fastest, self.sd, self.dt, self.generator = x, v, fastest, sd, dt, generator
+        self.home = v
+        self.a, self.left = torch.zeros_like(v), torch.zeros_like(v)
+
+    def advance(self) -> None:
+        """One step on."""
+        renew = self.left <= 0
+        drawn = self.sd * torch.randn(self.v.shape, generator=self.generator) + 0.1 * (self.home - self.v)
+        self.a = torch.where(renew, drawn.clamp(-4.0, 2.5), self.a)
+        duration = 0.5 + 5.0 * torch.rand(self.v.shape, generator=self.generator)
+        self.left = torch.where(renew, duration, self.left - self.dt)
+        faster = (self.v + self.a * self.dt).clamp(min=0, max=self.fastest)
+        self.x, self.v = self.x + (self.v + faster) / 2 * self.dt, faster
