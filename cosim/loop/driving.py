@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 import torch
 
-from cosim.loop.graph_source import graph_from_source
+from cosim.loop.graph_source import graph_from_source, keep_where_unknown
 from cosim.loop.intervention import Intervention, NoIntervention
 from cosim.loop.observation import GroupObservation
 from cosim.loop.policy_runner import PolicyRunner
@@ -82,14 +82,19 @@ def start_round(
         intervention.displaced_start(latest),
         driven_roles=this_round.driven_roles,
         dt=this_round.dt,
-        override_graph=partial(
-            graph_from_source, source=driver.graph, rule=this_round.rule, has_third_vehicle=this_round.has_third_vehicle
-        ),
+        override_graph=partial(_graph_to_use, source=driver.graph, this_round=this_round),
         reinfer_steps=driver.reinfer,
         channels=intervention.channels(layout, observations),
     )
     runner.decide(now.time)
     return RoundStart(PolicyControl(driver.name, this_round, runner), intervention, now, observations)
+
+
+def _graph_to_use(
+    graph: InteractionGraph, last: InteractionGraph | None, source: GraphSource, this_round: Round
+) -> InteractionGraph:
+    known = graph if last is None else keep_where_unknown(graph, last, source)
+    return graph_from_source(known, source, this_round.rule, this_round.has_third_vehicle)
 
 
 @torch.inference_mode()
@@ -164,4 +169,6 @@ def _graph_over_time(graphs: Sequence[InteractionGraph], g: int) -> InteractionG
     """The graphs of one group as one graph with a row per time; None where there are none."""
     if not graphs:
         return None
-    return InteractionGraph(torch.stack([graph.logits[g] for graph in graphs]), graphs[0].vocabulary)
+    scores = [graph.unknown[g] for graph in graphs if graph.unknown is not None]
+    unknown = torch.stack(scores) if len(scores) == len(graphs) else None
+    return InteractionGraph(torch.stack([graph.logits[g] for graph in graphs]), graphs[0].vocabulary, unknown)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import torch
 
-from cosim.spec.scenario import Enforced, GraphSource, GroundTruth, GroupRule
+from cosim.spec.scenario import Enforced, GraphSource, GroundTruth, GroupRule, Inferred
 from cosim.world.groups import expected_graph
 from gri.core.graph import EdgeType, InteractionGraph, pairs
 
@@ -23,7 +23,16 @@ def graph_from_source(
         return graph
     which = torch.tensor([pair in prescribed for pair in pairs(3)])
     certain = InteractionGraph.of_edges(prescribed, graph.vocabulary, batch=len(graph))
-    return InteractionGraph(torch.where(which[:, None], certain.logits, graph.logits), graph.vocabulary)
+    logits = torch.where(which[:, None], certain.logits, graph.logits)
+    return InteractionGraph(logits, graph.vocabulary, graph.unknown)
+
+
+def keep_where_unknown(graph: InteractionGraph, last: InteractionGraph, source: GraphSource) -> InteractionGraph:
+    """The new graph, or the last one for groups whose scene the model does not know, if the source says `keep`."""
+    if graph.unknown is None or not isinstance(source, Inferred) or source.when_unknown == "use":
+        return graph
+    keep = (graph.unknown > 1)[:, None, None]
+    return InteractionGraph(torch.where(keep, last.logits, graph.logits), graph.vocabulary, graph.unknown)
 
 
 def _prescribed(source: GraphSource, rule: GroupRule) -> Mapping[tuple[int, int], EdgeType]:

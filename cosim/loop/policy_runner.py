@@ -18,16 +18,17 @@ from gri.core.policy import Policy, PolicyState
 from gri.core.trajectory import Trajectory
 
 _A = COLUMNS.index("a")
-GraphOverride = Callable[[InteractionGraph], InteractionGraph]
+GraphOverride = Callable[[InteractionGraph, InteractionGraph | None], InteractionGraph]
 
 
 class PolicyRunner:
     """The model states of all groups of a round and the policy's memory of them; to be used in inference mode.
 
     The graph is inferred from `history`; the vehicles are driven from `start` on, which may differ from the end of the
-    history. `driven_roles` are the roles that the policy drives, `override_graph` turns the inferred graph into the one
-    that the policy uses, `reinfer_steps` says how often the graph is inferred again (0: never), `channels` are the
-    perturbed sensors and actuators. `graphs` are the graphs used so far, each with its time [s].
+    history. `driven_roles` are the roles that the policy drives, `override_graph` turns the inferred graph and the last
+    one (None at first) into the one that the policy uses, `reinfer_steps` says how often the graph is inferred again
+    (0: never), `channels` are the perturbed sensors and actuators. `graphs` are the graphs used so far, each with its
+    time [s].
     """
 
     def __init__(
@@ -54,15 +55,15 @@ class PolicyRunner:
         self.pose = layout.pose(self._commanded)
         self._decided_at: float | None = None
         self._steps = 0
-        self._memory = self._infer_graph()
+        self._memory = self._infer_graph(None)
         self.graphs: list[tuple[float, InteractionGraph]] = []
         self._record_graph(history[-1].time)
 
-    def _infer_graph(self) -> PolicyState:
+    def _infer_graph(self, last: InteractionGraph | None) -> PolicyState:
         """The policy's memory of the window, with the graph that it is to use."""
         states = _relative(np.stack(self._window, axis=2))
         memory = self._policy.begin(Trajectory.complete(states, self._dt))
-        return memory if memory.graph is None else replace(memory, graph=self._override_graph(memory.graph))
+        return memory if memory.graph is None else replace(memory, graph=self._override_graph(memory.graph, last))
 
     def _record_graph(self, time: float) -> None:
         if self._memory.graph is not None:
@@ -80,7 +81,7 @@ class PolicyRunner:
         if self._reinfer_steps and self._steps:
             self._window.append(observed)
             if self._steps % self._reinfer_steps == 0:
-                self._memory = replace(self._memory, graph=self._infer_graph().graph)
+                self._memory = replace(self._memory, graph=self._infer_graph(self._memory.graph).graph)
                 self._record_graph(time)
         action, self._memory = self._policy.act(self._memory, _relative(observed))
         action = self._channels.executed_action(self._steps, action)

@@ -96,21 +96,27 @@ def _inferred_graph_columns(episode: Episode, expected: Mapping[tuple[int, int],
     belief["graph_as_expected"] = all(
         kind is expected.get(pair, EdgeType.NONE) for pair, kind in zip(pairs(3), types, strict=True)
     )
+    belief["graph_unknown"] = np.nan if graph.unknown is None else float(graph.unknown[0])
     return belief
 
 
 def graphs_table(episodes: Sequence[Episode]) -> pd.DataFrame:
-    """One row per episode, inference and pair: the type the policy went by, and its probability."""
+    """One row per episode, inference and pair: the type used, its probability, and how unknown the scene is."""
     rows = [
-        (np.int32(number), episode.driver, time, i, j, graph.vocabulary[k].value, p)
+        (np.int32(number), episode.driver, time, i, j, graph.vocabulary[k].value, p, unknown)
         for number, episode in enumerate(episodes)
         if (graph := episode.graph) is not None
-        for time, types, probabilities in zip(
-            episode.graph_time, graph.map.tolist(), graph.probs.max(-1).values.tolist(), strict=True
+        for time, types, probabilities, unknown in zip(
+            episode.graph_time,
+            graph.map.tolist(),
+            graph.probs.max(-1).values.tolist(),
+            [np.nan] * len(graph) if graph.unknown is None else graph.unknown.tolist(),
+            strict=True,
         )
         for (i, j), k, p in zip(pairs(3), types, probabilities, strict=True)
     ]
-    return pd.DataFrame(rows, columns=["episode", "driver", "time", "sender", "receiver", "type", "probability"])
+    columns = ["episode", "driver", "time", "sender", "receiver", "type", "probability", "unknown"]
+    return pd.DataFrame(rows, columns=columns)
 
 
 def labelled(table: pd.DataFrame, labels: Mapping[str, Any]) -> pd.DataFrame:

@@ -84,6 +84,13 @@ def _as_expected(groups: pd.DataFrame) -> str:
     return _of(int(groups["graph_as_expected"].sum()), len(groups))
 
 
+def _known(groups: pd.DataFrame) -> str:
+    """Groups whose scene is like those the model was trained on."""
+    if "graph_unknown" not in groups or groups["graph_unknown"].isna().all():
+        return "-"
+    return _of(int((groups["graph_unknown"] <= 1).sum()), len(groups))
+
+
 def _hardest_braking(groups: pd.DataFrame) -> str:
     return f"{groups['min_acceleration'].min():.1f} / {groups['min_acceleration_after'].min():.1f}"
 
@@ -95,6 +102,7 @@ _ROWS: tuple[Row, ...] = (
     ("  interrupted by others", lambda g: _endings(g, interrupted=True)),
     ("inferred edges", _edges),
     ("  whole graph as expected", _as_expected),
+    ("  scene known to the model", _known),
     ("success (of those not interrupted)", lambda g: _of(int(g["success"].sum()), len(_complete(g)))),
     ("collisions", lambda g: str(int(g["contact"].sum()))),
     ("minimum gap [m]: worst / median", lambda g: f"{g['min_gap'].min():.1f} / {g['min_gap'].median():.1f}"),

@@ -121,7 +121,13 @@ Background = SimulatedTraffic | Replay
 
 
 class Inferred(Spec, frozen=True, kw_only=True, tag_field="source", tag="inferred"):
-    """The graph that the policy infers from its observations."""
+    """The graph that the policy infers from its observations.
+
+    `when_unknown` applies to later inferences (`reinfer_s`) from scenes that the model does not know: `use` the graph
+    all the same, or `keep` the last one.
+    """
+
+    when_unknown: Literal["use", "keep"] = "use"
 
 
 class GroundTruth(Spec, frozen=True, kw_only=True, tag_field="source", tag="ground_truth"):

@@ -8,8 +8,9 @@ structure of the answer built in, in training and at inference:
     q(j reacts to k | τ) = softmax over {own speed, unseen leader, every k} of (g_null(c_j), g_follow(e_jk, c_j))
 
 A vehicle follows at most one other vehicle, and only one that is ahead. The pair's series are the gap, both speeds and
-both accelerations, on the scale of drivers and on the scale of their own variation. The statistics are those of ridge
-regressions of j's acceleration on what j would see of k, at several delays. Nothing depends on the number of vehicles.
+both accelerations, on the scale of drivers and on the scale of their own variation. The statistics say how much
+better j's accelerations are explained by what j would see of k (`gri.networks.reaction_evidence`). Nothing depends on
+the number of vehicles.
 """
 
 from typing import NamedTuple
@@ -20,12 +21,12 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from gri.core.edges import pairs
+from gri.networks.reaction_evidence import DELAYS, EVIDENCES, reaction_evidence
 
 LENGTH = 5.0  # [m] of every vehicle
 LEAST_GAP = 0.5  # [m]
-DELAYS = (0.0, 0.4, 0.8)  # [s] of the regressions
 NEVER = -30.0  # logit
-SERIES, STATISTICS = 18, 4 + 10 * len(DELAYS)  # channels
+SERIES, STATISTICS = 18, EVIDENCES + 3  # channels
 
 
 class PairEncoderConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -160,50 +161,11 @@ def _series(motion: PairMotion, dt: float) -> Float[Tensor, "P C T"]:
     return torch.stack(on_the_scale_of_drivers + on_their_own_scale + products, 1)
 
 
+@torch.no_grad()
 def _statistics(motion: PairMotion, dt: float) -> Float[Tensor, "P F"]:
-    """Coefficients, t-values and gains in fit of the regressions, squashed to about one."""
-    gap, own, other, own_a, _ = motion
-    first = round(max(DELAYS) / dt)
-    y, v = own_a[:, first:], own[:, first:]
-    alone = _ridge(y, [v / 2])
-    floor = 1e-4  # [m²/s⁴]
-    found = [
-        (alone.residual + floor).log() / 4,
-        (y.var(-1, correction=0) + floor).log() / 4,
-        *alone.coefficients.tanh().unbind(-1),
-        *(alone.t / 5).tanh().unbind(-1),
-    ]
-    for delay in DELAYS:
-        start = first - round(delay / dt)
-        late = slice(start, start + y.shape[-1])
-        full = _ridge(y, [v / 2, (other - own)[:, late], gap[:, late] / 10])
-        speed = _ridge(y, [v / 2, other[:, late]])
-        found += [
-            ((alone.residual + floor) / (full.residual + floor)).log(),
-            *(full.t / 6).tanh().unbind(-1),
-            *(2 * full.coefficients).tanh().unbind(-1),
-            ((alone.residual + floor) / (speed.residual + floor)).log(),
-            *(speed.t / 6).tanh().unbind(-1),
-        ]
-    return torch.stack(found, -1)
-
-
-class Fit(NamedTuple):
-    """A ridge regression of each of P series on C others."""
-
-    residual: Float[Tensor, " P"]
-    """Variance of what is left."""
-    coefficients: Float[Tensor, "P C"]
-    t: Float[Tensor, "P C"]
-
-
-def _ridge(y: Float[Tensor, "P T"], columns: list[Float[Tensor, "P T"]]) -> Fit:
-    y = y - y.mean(-1, keepdim=True)
-    design = torch.stack(columns, -1)
-    design = design - design.mean(1, keepdim=True)
-    gram = design.mT @ design + 1e-5 * y.shape[-1] * torch.eye(len(columns), dtype=y.dtype)
-    inverse = torch.linalg.inv(gram)
-    coefficients = (inverse @ (design.mT @ y[..., None]))[..., 0]
-    residual = (y - (design @ coefficients[..., None])[..., 0]).square().mean(-1)
-    error = (inverse.diagonal(dim1=-2, dim2=-1) * (residual[:, None] + 1e-5)).sqrt()
-    return Fit(residual, coefficients, coefficients / error)
+    """The evidence for a reaction, squashed, the best of it, and how much both vehicles accelerate."""
+    evidence = reaction_evidence(motion.gap, motion.receiver, motion.sender, dt)
+    best = evidence[:, 1:].amax(-1, keepdim=True)
+    moves = [(a.square().mean(-1, keepdim=True) + 1e-4).log() / 4 for a in (motion.receiver_a, motion.sender_a)]
+    squashed = (torch.cat([evidence[:, 1:], best], -1) / 3).asinh()
+    return torch.cat([evidence[:, :1], squashed, *(m.double() for m in moves)], -1).to(motion.gap.dtype)

@@ -31,7 +31,7 @@ class ReactionPrior(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     vehicles: int = 5
     speed: Span = (0.0, 38.0)
     """First speed of a scene [m/s], uniform."""
-    headway: Span = (5.0, 400.0)
+    headway: Span = (5.0, 600.0)
     """First headways, front to front [m]."""
     time_gap: Span = (0.5, 2.8)
     """[s]"""
@@ -57,7 +57,9 @@ class ReactionPrior(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     """Of the gap, relative."""
     speed_noise: Span = (0.001, 0.2)
     """Of measured speeds [m/s]; half of the scenes have none."""
-    follows: float = 0.6
+    reach: Span = (50.0, 250.0)
+    """Largest first headway over which a driver reacts [m]."""
+    follows: float = 0.65
     """Probability that a vehicle with others ahead reacts to one of them."""
     next_ahead: float = 0.6
     """Probability that this one is the next ahead; else any of those ahead."""
@@ -129,6 +131,8 @@ def _simulate(
     headway = torch.where(chance(0.5, (count, 1)), draw(prior.headway), suited).clamp(min=LENGTH + 1.0)
     x = torch.cat([torch.zeros(count, 1), headway[:, 1:].cumsum(1)], 1)
     leader = _leaders(prior, count, generator)
+    away = x.gather(1, leader.clamp(min=0)) - x
+    leader = torch.where((leader >= 0) & (away > draw(prior.reach)), OWN, leader)
     surplus = torch.where(chance(0.5), uniform((-2.0, 8.0)), 0.5 * torch.randn(shape, generator=generator))
     wished = (v + surplus).clamp(min=1.0)
     unseen_headway = torch.where(chance(0.5), draw(prior.headway), suited)

@@ -2,7 +2,7 @@
 
 import torch
 
-from cosim.loop.graph_source import graph_from_source
+from cosim.loop.graph_source import graph_from_source, keep_where_unknown
 from cosim.spec.scenario import Enforced, GroundTruth, Inferred, Merge
 from gri.core.graph import LANE_CHANGING, EdgeType, InteractionGraph
 
@@ -29,3 +29,14 @@ def test_enforced_edges_leave_the_others_alone_or_empty():
     torch.testing.assert_close(graph.logits[:, [1, 2, 3, 4]], INFERRED.logits[:, [1, 2, 3, 4]])
     alone = graph_from_source(INFERRED, Enforced(edges={"2->1": "follow"}, others="none"), RULE)
     assert set(alone.edges(1)) == {(2, 1)}
+
+
+def test_the_last_graph_is_kept_only_where_the_scene_is_unknown_and_the_source_says_so():
+    new = InteractionGraph(INFERRED.logits + 1, INFERRED.vocabulary, torch.linspace(0.5, 1.5, len(INFERRED)))
+    last = InteractionGraph(INFERRED.logits - 1, INFERRED.vocabulary)
+    assert keep_where_unknown(new, last, Inferred()) is new
+    assert keep_where_unknown(INFERRED, last, Inferred(when_unknown="keep")) is INFERRED
+    kept = keep_where_unknown(new, last, Inferred(when_unknown="keep"))
+    for scene in range(len(new)):
+        wanted = last if float(new.unknown[scene]) > 1 else new
+        assert torch.equal(kept.logits[scene], wanted.logits[scene])
