@@ -11,6 +11,7 @@ posterior over graphs with all latents integrated out, without one constant of a
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import msgspec
 import torch
@@ -55,8 +56,8 @@ class ReactionPrior(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     """[m/s²]"""
     perception_noise: Span = (0.001, 0.06)
     """Of the gap, relative."""
-    speed_noise: Span = (0.001, 0.2)
-    """Of measured speeds [m/s]; half of the scenes have none."""
+    quiet: Span = (0.02, 1.0)
+    """Factor on all noise of 0.6 of the scenes, so that some scenes are quiet as a whole."""
     reach: Span = (50.0, 250.0)
     """Largest first headway over which a driver reacts [m]."""
     follows: float = 0.65
@@ -122,7 +123,6 @@ def _simulate(
         acceleration=draw(prior.acceleration),
         deceleration=draw(prior.deceleration),
         form=torch.randint(len(FORMS), shape, generator=generator),
-        additive=chance(0.3),
         saturating=chance(0.5),
     )
     # Half of the scenes begin with headways that suit the speeds, the others with any.
@@ -133,14 +133,18 @@ def _simulate(
     leader = _leaders(prior, count, generator)
     away = x.gather(1, leader.clamp(min=0)) - x
     leader = torch.where((leader >= 0) & (away > draw(prior.reach)), OWN, leader)
-    surplus = torch.where(chance(0.5), uniform((-2.0, 8.0)), 0.5 * torch.randn(shape, generator=generator))
-    wished = (v + surplus).clamp(min=1.0)
+    # Wished speeds: near the present speed, somewhat above it, or anywhere above it.
+    surplus = torch.where(chance(0.6), uniform((-2.0, 8.0)), 0.5 * torch.randn(shape, generator=generator))
+    above = v + (prior.speed[1] - v).clamp(min=1.0) * uniform((0.0, 1.0))
+    wished = torch.where(chance(0.4), above, (v + surplus).clamp(min=1.0))
     unseen_headway = torch.where(chance(0.5), draw(prior.headway), suited)
     delay = (uniform(prior.delay) / step).round().long() * chance(0.8)
     keep = torch.exp(-step / uniform(prior.lag).clamp(min=1e-3)) * chance(0.7)
-    act = Wander(draw(prior.action_noise), uniform((0.2, 3.0)), step, generator)
-    wish = Wander(uniform((0.0, 1.8)) * chance(0.8), uniform((2.0, 20.0)), step, generator)
-    see = Wander(draw(prior.perception_noise) * chance(0.6), uniform((0.5, 4.0)), step, generator)
+    low, high = torch.tensor(prior.quiet).log().tolist()
+    quiet = torch.where(chance(0.6, (count, 1)), uniform((low, high), (count, 1)).exp(), torch.ones(count, 1))
+    act = Wander(quiet * draw(prior.action_noise), uniform((0.2, 3.0)), step, generator)
+    wish = Wander(quiet * uniform((0.0, 1.8)) * chance(0.8), uniform((2.0, 20.0)), step, generator)
+    see = Wander(quiet * draw(prior.perception_noise) * chance(0.6), uniform((0.5, 4.0)), step, generator)
     outside = Outside(x + unseen_headway, v, prior.speed[1] + 4.0, uniform((0.2, 2.5)), step, generator)
     everybody = torch.arange(n)
     rows = torch.where(leader >= 0, leader, torch.where(leader == UNSEEN, n + everybody, everybody))
@@ -190,8 +194,7 @@ class Drivers:
     acceleration: Tensor
     deceleration: Tensor
     form: Tensor
-    additive: Tensor
-    """Whether the reaction is added to the wish for an own speed; else the lower acceleration counts."""
+    """Index into `FORMS`."""
     saturating: Tensor
     """Whether the wish for an own speed fades only near that speed; else it is linear in the difference."""
 
@@ -199,37 +202,76 @@ class Drivers:
         """[m/s²], by the gap [m] and the speeds [m/s]."""
         linear = (self.own_gain * (wished - v)).clamp(max=self.acceleration)
         late = self.acceleration * (1 - (v / wished.clamp(min=1.0)) ** (1 + 6 * self.own_gain)).clamp(min=-3.0)
-        own = torch.where(self.saturating, late, linear)
-        reaction = torch.stack([form(self, v, gap, leader) for form in FORMS], -1)
-        reaction = reaction.gather(-1, self.form[..., None])[..., 0]
-        sum_of_both = own.clamp(min=-2.0) / 2 + reaction
-        both = torch.where(self.additive & (self.form != 2), sum_of_both, torch.minimum(own, reaction))
-        return torch.where(alone, own, both)
+        scene = Situation(v, gap.clamp(min=LEAST_GAP), leader, wished, torch.where(self.saturating, late, linear))
+        reacting = torch.stack([form(self, scene) for form in FORMS], -1).gather(-1, self.form[..., None])[..., 0]
+        return torch.where(alone, scene.own, reacting)
 
 
-def _linear(d: Drivers, v: Tensor, gap: Tensor, leader: Tensor) -> Tensor:
-    """Linear in the gap and the speed difference, with a bounded wish to close up; both fade over long gaps."""
-    error = gap - d.standstill - d.time_gap * v
-    return (d.gap_gain * error).clamp(max=1.5) + d.speed_gain * (leader - v)
+class Situation(NamedTuple):
+    """What drivers decide by: speeds [m/s], the gap [m], and their wish for an own speed as acceleration [m/s²]."""
+
+    v: Tensor
+    gap: Tensor
+    leader: Tensor
+    wished: Tensor
+    own: Tensor
 
 
-def _ratio(d: Drivers, v: Tensor, gap: Tensor, leader: Tensor) -> Tensor:
-    """By the ratio of the wanted gap and the gap, whose exponent is 1 to 3."""
-    wanted = d.standstill + (d.time_gap * v + v * (v - leader) * d.speed_gain).clamp(min=0)
-    ratio = (wanted / gap.clamp(min=LEAST_GAP)).clamp(max=6.0)
-    return d.acceleration * (1 - ratio ** (1.0 + 4.0 * d.own_gain))
+def _linear(d: Drivers, s: Situation) -> Tensor:
+    """Linear in the gap and the speed difference; the lower of that and the own wish."""
+    error = s.gap - d.standstill - d.time_gap * s.v
+    return torch.minimum(s.own, (d.gap_gain * error).clamp(max=1.5) + d.speed_gain * (s.leader - s.v))
 
 
-def _safe_speed(d: Drivers, v: Tensor, gap: Tensor, leader: Tensor) -> Tensor:
-    """One-sided: brakes or accelerates to the speed from which it can still stop behind the leader."""
+def _added(d: Drivers, s: Situation) -> Tensor:
+    """Linear in the gap and the speed difference, added to the own wish."""
+    error = s.gap - d.standstill - d.time_gap * s.v
+    return s.own.clamp(min=-2.0) / 2 + (d.gap_gain * error).clamp(max=1.5) + d.speed_gain * (s.leader - s.v)
+
+
+def _wanted_ratio(d: Drivers, s: Situation) -> Tensor:
+    """The wanted gap, which grows with the speed of approach, over the gap."""
+    approach = s.v * (s.v - s.leader) / (2 * (d.acceleration * d.deceleration).sqrt())
+    return ((d.standstill + (d.time_gap * s.v + approach).clamp(min=0)) / s.gap).clamp(max=6.0)
+
+
+def _ratio(d: Drivers, s: Situation) -> Tensor:
+    """By a power of the ratio of the wanted gap and the gap; the lower of that and the own wish."""
+    return torch.minimum(s.own, d.acceleration * (1 - _wanted_ratio(d, s) ** (1.0 + 3.0 * d.own_gain)))
+
+
+def _subtracted(d: Drivers, s: Situation) -> Tensor:
+    """The same power, subtracted from the own wish."""
+    return s.own - d.acceleration * _wanted_ratio(d, s) ** (1.5 + 2.0 * d.gap_gain)
+
+
+def _speed_of_gap(d: Drivers, s: Situation) -> Tensor:
+    """Adapts to a speed that is a function of the gap, and to the leader's speed; some ignore the latter."""
+    reach = d.standstill + d.time_gap * 10
+    smooth = s.wished * ((s.gap / reach - 1.5).tanh() + 0.905) / 1.905
+    straight = torch.minimum(s.wished, (s.gap - d.standstill) / d.time_gap).clamp(min=0)
+    target = torch.where(d.saturating, smooth, straight)
+    gain = torch.where(d.speed_gain < 0.12, 0.0, d.speed_gain)
+    return (0.1 + d.own_gain) * (target - s.v) + gain * (s.leader - s.v) / (1 + s.gap / 100)
+
+
+def _safe_speed(d: Drivers, s: Situation) -> Tensor:
+    """The speed from which it can still stop behind the leader; the lower of the way there and the own wish."""
     tau = d.time_gap
-    room = (gap - d.standstill).clamp(min=-20.0)
-    inside = (d.deceleration * tau) ** 2 + leader.clamp(min=0) ** 2 + 2 * d.deceleration * room
+    room = (s.gap - d.standstill).clamp(min=-20.0)
+    inside = (d.deceleration * tau) ** 2 + s.leader.clamp(min=0) ** 2 + 2 * d.deceleration * room
     safe = -d.deceleration * tau + inside.clamp(min=0).sqrt()
-    return torch.minimum((safe - v) / (0.5 + 2 * d.own_gain), d.acceleration)
+    return torch.minimum(s.own, (safe - s.v) / (0.5 + 2 * d.own_gain))
 
 
-FORMS: tuple[Callable[[Drivers, Tensor, Tensor, Tensor], Tensor], ...] = (_linear, _ratio, _safe_speed)
+FORMS: tuple[Callable[[Drivers, Situation], Tensor], ...] = (
+    _linear,
+    _added,
+    _ratio,
+    _subtracted,
+    _speed_of_gap,
+    _safe_speed,
+)
 
 
 class Wander:

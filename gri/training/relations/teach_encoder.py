@@ -38,7 +38,7 @@ class TeachingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     strangers: float = 0.25
     """Share of scenes with strangers."""
     measurement_noise: tuple[float, float] = (0.001, 0.2)
-    """Standard deviation of noise on x [m] and v [m/s], log-uniform, in half of the scenes."""
+    """Standard deviation of noise on x [m] and v [m/s], log-uniform, in 0.3 of the scenes."""
     updates: int = 6000
     batch: int = 192
     rate: float = 3e-3
@@ -112,7 +112,7 @@ def broken_batch(pool: Reactions, settings: TeachingSettings, generator: torch.G
     low, high = torch.tensor(settings.measurement_noise).log().tolist()
     one_each = (len(scenes), 1, 1)
     sd = (low + (high - low) * torch.rand(one_each, generator=generator)).exp()
-    sd = sd * (torch.rand(one_each, generator=generator) < 0.5)
+    sd = sd * (torch.rand(one_each, generator=generator) < 0.3)
     noise = torch.randn((2, *scenes.x.shape), generator=generator)
     return Reactions(scenes.x + sd * noise[0], scenes.v + sd * noise[1], scenes.leader)
 

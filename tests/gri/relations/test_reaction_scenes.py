@@ -30,7 +30,7 @@ def test_leaders_are_ahead_and_the_foremost_vehicle_has_none(generator: torch.Ge
 
 
 def test_first_headways_do_not_tell_the_relation(generator: torch.Generator):
-    prior = ReactionPrior(settle=(0.0,), headway=(60.0, 400.0))  # without contacts, which would select scenes
+    prior = ReactionPrior(settle=(0.0,), headway=(60.0, 400.0), reach=(900.0, 901.0))  # without contacts, which select
     scenes = draw_reactions(prior, 6000, 15, 0.2, generator)
     headway = (scenes.x[:, 1, 0] - scenes.x[:, 0, 0]).log()
     follows = scenes.leader[:, 0] == 1
