@@ -12,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from gri import checkpoint
+from gri.bench.answers import Infer
 from gri.bench.car_following_scenes import DT, LENGTH, KnownScenes, accelerations
 from gri.bench.pair_classifier import train_classifier
 from gri.core.edges import EdgeType, pairs
@@ -21,7 +22,6 @@ from gri.relations.closed_form_posterior import Weights, explain, follow_probabi
 MOST_LAG = 10  # steps
 UPDATES = 1500  # of the taught classifiers
 WINDOW = 31  # frames of 6 s that every row may see
-Infer = Callable[[KnownScenes], Float[Tensor, "S E"]]
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,9 @@ def _residual(y: Float[Tensor, "S T"], design: Float[Tensor, "S T P"]) -> Float[
     return (y - fitted[..., 0]).square().sum(-1)
 
 
-def _with_threshold(score: Infer) -> Callable[[Sequence[KnownScenes], Sequence[KnownScenes], int], Infer]:
+def _with_threshold(
+    score: Callable[[KnownScenes], Tensor],
+) -> Callable[[Sequence[KnownScenes], Sequence[KnownScenes], int], Infer]:
     """Turn a score into a probability by logistic regression on the validation scenes, for pairs from ahead only."""
 
     def prepare(train: Sequence[KnownScenes], validation: Sequence[KnownScenes], seed: int) -> Infer:
