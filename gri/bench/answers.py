@@ -9,6 +9,9 @@ from torch import Tensor
 
 from gri.bench.car_following_scenes import KnownScenes
 from gri.core.edges import pairs
+from gri.errors import InputError
+
+WINDOW = 31  # frames of 6 s that every row may see
 
 
 @dataclass(frozen=True)
@@ -30,12 +33,22 @@ Infer = Callable[[KnownScenes], Answer | Float[Tensor, "S E"]]
 """Scenes → an answer, or only P(follow)."""
 
 
+def observed(scenes: KnownScenes) -> Float[Tensor, "S N T 3"]:
+    """What rows may see of scenes: the first `WINDOW` states."""
+    return scenes.state[:, :, :WINDOW]
+
+
 def ask(infer: Infer, scenes: KnownScenes) -> Answer:
     """The answer of a row to scenes.
 
     Raises:
-        ValueError: numbers that are not finite, or probabilities below 0 or above 1.
+        InputError: scenes with states that are not finite, or shorter than the window. No row may answer "none" there.
+        ValueError: an answer that is not finite, or probabilities below 0 or above 1.
     """
+    if scenes.state.shape[2] < WINDOW:
+        raise InputError(f"got scenes of {scenes.state.shape[2]} states, wanted {WINDOW} or more; give longer ones")
+    if missing := int((~torch.isfinite(observed(scenes))).any(-1).any(-1).any(-1).sum()):
+        raise InputError(f"got {missing} scenes with states that are not finite; leave them out")
     given = infer(scenes)
     answer = given if isinstance(given, Answer) else Answer(given)
     wanted = len(scenes), len(pairs(scenes.state.shape[1]))

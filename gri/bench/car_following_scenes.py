@@ -66,6 +66,10 @@ class KnownScenes:
     def __len__(self) -> int:
         return len(self.state)
 
+    def __getitem__(self, scenes: slice) -> "KnownScenes":
+        """The selected scenes."""
+        return KnownScenes(self.state[scenes], self.leader[scenes], self.acceptance)
+
     def graph(self) -> Int[Tensor, "S E"]:
         """Type indices of all ordered pairs (sender, receiver): 1 where the receiver follows the sender."""
         n = self.state.shape[1]

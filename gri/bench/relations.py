@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
 from hashlib import sha256
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -53,13 +54,21 @@ class Plan:
         if unknown := [name for name in self.rows if name not in known]:
             raise InputError(f"--row: got {unknown[0]!r}, wanted one of: {'; '.join(known)}")
         for row in ROWS:
-            if not self.rows or row.name in self.rows:
+            wanted = row.name in self.rows
+            if wanted and row in left_out():
+                raise InputError(f"--row {row.name!r}: {row.needs} is not installed; pip install 'gri-cosim[bench]'")
+            if wanted or (not self.rows and row not in left_out()):
                 yield from ((row, seed) for seed in range(self.seeds if row.varies else 1))
 
     def file(self, row: Row, seed: int) -> Path:
         """Where the result of a job is kept; the name changes with whatever changes the result."""
         facts = (VERSION, row.name, row.given, seed, self.scenes, self.training, self.validation, UPDATES, WINDOW)
         return self.out / "jobs" / f"{sha256(repr(facts).encode()).hexdigest()[:16]}.json"
+
+
+def left_out() -> list[Row]:
+    """Rows that need a module which is not installed."""
+    return [row for row in ROWS if row.needs and find_spec(row.needs) is None]
 
 
 def run(plan: Plan, progress: Progress = no_progress) -> pd.DataFrame:
@@ -128,7 +137,7 @@ def scores_of(marked: Marked) -> dict[str, dict[str, float]]:
 
 def _result(plan: Plan, row: Row, seed: int) -> dict[str, Any]:
     infer = row.prepare(_training("train", plan.training), _training("validation", plan.validation), seed)
-    marked = {tested.name: (tested.kind, mark(infer, tested.scenes)) for tested in _tests(plan.scenes)}
+    marked = {tested.name: (tested.kind, mark(infer, tested.scenes[: row.most])) for tested in _tests(plan.scenes)}
     known = [part for kind, part in marked.values() if kind == "drivers"]
     everyday = np.concatenate([part.uncertainty.mean(1) for part in known])
     sets = []
@@ -178,10 +187,14 @@ def markdown(table: pd.DataFrame, plan: Plan) -> str:
     """The page that people read: a summary, balanced accuracy per driver model, false follow per control."""
     accuracy = table[(table["kind"] == "drivers") & (table["score"] == "balanced_accuracy")]
     false = table[(table["kind"] == "control") & (table["score"] == "false_follow")]
+    missing = [row.name for row in left_out() if not plan.rows]
+    fewer = "".join(f" ({row.name}: {row.most})" for row in ROWS if row.most and row.most < plan.scenes)
     parts = [
         "# Who reacts to whom: scores",
-        f"{plan.scenes} scenes per set, {plan.seeds} seeds for rows that depend on one."
+        f"{plan.scenes} scenes per set{fewer}, {plan.seeds} seeds for rows that"
+        " depend on one."
         " [How to read this, and how it is made](../../relations.md).",
+        *([f"Left out: {', '.join(missing)}; install the extra `bench`."] if missing else []),
         "## Summary",
         _summary(table),
         "## Balanced accuracy [%]",
