@@ -50,7 +50,7 @@ def point_mass_scenes(known: KnownScenes, count: int | None = None) -> Scenes:
     """
     state = known.state[:count, :, :WINDOW]
     moved = torch.stack([state[:, :, :-1, 0], state[:, :, :-1, 1], accelerations(state[..., 1])], -1)
-    moved[..., 0] -= moved[:, -1:, :1, 0]  # small positions keep the digits of float32
+    moved[..., 0] -= moved[:, -1:, :1, 0].clone()  # small positions keep the digits of float32
     jerk = (moved[:, :-1, 1:, 2:] - moved[:, :-1, :-1, 2:]) / DT
     nothing = torch.zeros(len(state), len(pairs(state.shape[1])), dtype=torch.long)
     return Scenes(moved.float(), jerk.float(), nothing)
