@@ -11,7 +11,7 @@ that no edge enters j.
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from gri.bench.driver_models import FREE, DriverModel
@@ -48,6 +48,8 @@ class SceneFamily:
     """Relative to the gap; the speed difference gets this share of 10 m/s. Correlation time 2 s."""
     action_noise: float = 0.15
     """[m/s²], correlation time 1 s."""
+    length: float = LENGTH
+    """[m] of every vehicle. The rows are not told; they take `LENGTH`."""
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,10 @@ class KnownScenes:
 
     def __len__(self) -> int:
         return len(self.state)
+
+    def __getitem__(self, scenes: slice) -> "KnownScenes":
+        """The selected scenes."""
+        return KnownScenes(self.state[scenes], self.leader[scenes], self.acceptance)
 
     def graph(self) -> Int[Tensor, "S E"]:
         """Type indices of all ordered pairs (sender, receiver): 1 where the receiver follows the sender."""
@@ -82,16 +88,17 @@ def draw_scenes(family: SceneFamily, model: DriverModel, count: int, seed: int) 
     drawn = 0
     while sum(len(state) for state, _ in kept) < count:
         state, leader = _simulate(family, model, max(count, 64), generator)
-        fine = _is_free_of_contact(state)
+        fine = is_free_of_contact(state, family.length)
         drawn += len(state)
         kept.append((state[fine], leader[fine]))
     state, leader = (torch.cat(parts) for parts in zip(*kept, strict=True))
     return KnownScenes(state[:count], leader[:count], len(state) / drawn)
 
 
-def _is_free_of_contact(state: Float[Tensor, "S N T 3"]) -> Tensor:
+def is_free_of_contact(state: Float[Tensor, "S N T 3"], length: float = LENGTH) -> Bool[Tensor, " S"]:
+    """Whether all vehicles keep their order and 0.3 m of gap throughout."""
     x = state[..., 0]
-    return ((x[:, 1:] - x[:, :-1]) > LENGTH + 0.3).all(-1).all(-1)
+    return ((x[:, 1:] - x[:, :-1]) > length + 0.3).all(-1).all(-1)
 
 
 def _uniform(shape: tuple[int, ...], bounds: tuple[float, float], generator: torch.Generator) -> Tensor:
@@ -182,7 +189,7 @@ def _simulate(
         if k % SUBSTEPS == 0:
             frames.append(torch.stack([x, v, a], -1))
         seen = (k - delay).clamp(min=0)
-        distance = past_x[seen, scenes, rows] - past_x[seen, scenes, own] - LENGTH
+        distance = past_x[seen, scenes, rows] - past_x[seen, scenes, own] - family.length
         gap = torch.where(leader == OWN, FREE, distance * see_gap[k])
         leader_v = past_v[seen, scenes, rows] + see_speed[k]
         wanted = model.acceleration({**drivers, "v0": wished_path[k].clamp(min=1.0)}, v, gap, leader_v)

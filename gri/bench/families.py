@@ -1,17 +1,27 @@
 """The test sets of the benchmark: simulated scenes of six driver models, and controls in which nobody can react.
 
+A third kind are unknown worlds: nothing like them is among the training scenes, so that a row should trust itself less.
+
 Splits are fixed by their seeds: everybody who runs the benchmark meets the same scenes. The learner may see the states
 of the training split, never its relations, unless a row says that it is taught with labels.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from gri.bench.car_following_scenes import OWN, KnownScenes, SceneFamily, accelerations, draw_scenes
+from gri.bench.car_following_scenes import (
+    DT,
+    OWN,
+    KnownScenes,
+    SceneFamily,
+    accelerations,
+    draw_scenes,
+    is_free_of_contact,
+)
 from gri.bench.driver_models import DRIVER_MODELS, IDM, DriverModel
 
 NEAR = SceneFamily("near", headway=(10.0, 50.0))
@@ -27,7 +37,7 @@ class TestSet:
 
     name: str
     kind: str
-    """"drivers" or "control"; in a control no edge is there."""
+    """"drivers", "control" (no edge is there) or "unknown" (a world that no row was made for)."""
     scenes: KnownScenes
 
 
@@ -44,7 +54,8 @@ def test_sets(count: int) -> list[TestSet]:
         for family in (NEAR, WIDE)
         for model in DRIVER_MODELS
     ]
-    return drivers + [TestSet(name, "control", scenes) for name, scenes in controls(count).items()]
+    others = {"control": controls(count), "unknown": unknown_worlds(count)}
+    return drivers + [TestSet(name, kind, scenes) for kind, sets in others.items() for name, scenes in sets.items()]
 
 
 def controls(count: int) -> Mapping[str, KnownScenes]:
@@ -63,6 +74,61 @@ def controls(count: int) -> Mapping[str, KnownScenes]:
         "headway x 15": _stretched(following, 15.0),
         "time reversed": _reversed(following),
     }
+
+
+def unknown_worlds(count: int) -> Mapping[str, KnownScenes]:
+    """Speeds, spacings, drivers and sensors unlike those of all training scenes."""
+    seed = SPLIT_SEEDS["test"] + 700
+    usual = draw_scenes(NEAR, IDM, count, seed)
+    return {
+        "fast": draw_scenes(replace(NEAR, speed=(40.0, 60.0)), IDM, count, seed + 1),
+        "far apart": draw_scenes(replace(NEAR, headway=(250.0, 500.0)), IDM, count, seed + 2),
+        "oscillating": _moved_by(_oscillating, count, seed + 3),
+        "random walk": _moved_by(_random_walk, count, seed + 4),
+        "slow motion": _every_second(draw_scenes(replace(NEAR, steps=2 * NEAR.steps - 1), IDM, count, seed + 5)),
+        "position noise": _with_position_noise(usual, 1.0, seed + 6),
+        "trucks": draw_scenes(replace(NEAR, length=20.0, headway=(25.0, 65.0)), IDM, count, seed + 7),
+    }
+
+
+def _moved_by(speeds: Callable[[Tensor, torch.Generator], Tensor], count: int, seed: int) -> KnownScenes:
+    """Vehicles that react to nothing: starts of `NEAR`, speeds over time [S, N, T] from the first speeds [S, N, 1]."""
+    generator = torch.Generator().manual_seed(seed)
+    start = draw_scenes(NEAR, IDM, 5 * count, seed).state[:, :, :1]
+    v = speeds(start[..., 1], generator).clamp(min=0)
+    a = torch.zeros_like(v)
+    a[..., 1:] = accelerations(v)
+    x = start[..., 0] + torch.nn.functional.pad(((v[..., 1:] + v[..., :-1]) / 2 * DT).cumsum(-1), (1, 0))
+    state = torch.stack([x, v, a], -1)
+    fine = is_free_of_contact(state)
+    assert int(fine.sum()) >= count, f"got {int(fine.sum())} scenes without contact, wanted {count}; draw more"
+    return _nobody(state[fine][:count], float(fine.double().mean()))
+
+
+def _oscillating(v: Float[Tensor, "S N 1"], generator: torch.Generator) -> Float[Tensor, "S N T"]:
+    """Every vehicle has an amplitude (1–4 m/s), a period (2–6 s) and a phase of its own."""
+    amplitude, period, phase = (torch.rand((3, *v.shape), generator=generator, dtype=v.dtype)).unbind(0)
+    time = DT * torch.arange(NEAR.steps)
+    return v + (1 + 3 * amplitude) * torch.sin(2 * torch.pi * (time / (2 + 4 * period) + phase))
+
+
+def _random_walk(v: Float[Tensor, "S N 1"], generator: torch.Generator) -> Float[Tensor, "S N T"]:
+    """Accelerations are white: 3 m/s² of standard deviation in every step, as of no driver."""
+    steps = 3.0 * DT * torch.randn((*v.shape[:2], NEAR.steps), generator=generator, dtype=v.dtype)
+    return v + steps.cumsum(-1)
+
+
+def _every_second(scenes: KnownScenes) -> KnownScenes:
+    """States 0.4 s apart that say they are 0.2 s apart."""
+    return KnownScenes(scenes.state[:, :, ::2], scenes.leader, scenes.acceptance)
+
+
+def _with_position_noise(scenes: KnownScenes, sd: float, seed: int) -> KnownScenes:
+    """White noise on positions alone [m]; speeds stay."""
+    state = scenes.state.clone()
+    noise = torch.randn(state.shape[:3], generator=torch.Generator().manual_seed(seed), dtype=state.dtype)
+    state[..., 0] += sd * noise
+    return KnownScenes(state, scenes.leader, scenes.acceptance)
 
 
 def _where_everybody_follows_the_next(scenes: KnownScenes, count: int) -> KnownScenes:

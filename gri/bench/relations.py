@@ -6,28 +6,33 @@ of one version write the same bytes.
 
 import json
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
 from hashlib import sha256
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import torch
+from jaxtyping import Bool, Float
 
+from gri.bench.answers import Infer, ask
 from gri.bench.car_following_scenes import DT
 from gri.bench.driver_models import DRIVER_MODELS
 from gri.bench.families import NEAR, WIDE, KnownScenes, TestSet, split, test_sets
+from gri.bench.figures import Curves, draw_abstention, draw_reliability
 from gri.bench.rows import ROWS, UPDATES, WINDOW, Row
-from gri.bench.scores import SCORES, score
+from gri.bench.scores import SCORES, abstention_area, bootstrap, reliability, risk_curve, score, unknown_auc
 from gri.core.edges import pairs
 from gri.errors import InputError
 from gri.progress import Progress, no_progress
 
-VERSION = 1  # of the scenes and rows; another one makes all jobs again
+VERSION = 2  # of the scenes and rows; another one makes all jobs again
 TRAINING, VALIDATION = 1500, 300  # scenes of each driver model and family
+FIELDS = ("p", "truth", "uncertainty")
 
 
 @dataclass(frozen=True)
@@ -49,13 +54,21 @@ class Plan:
         if unknown := [name for name in self.rows if name not in known]:
             raise InputError(f"--row: got {unknown[0]!r}, wanted one of: {'; '.join(known)}")
         for row in ROWS:
-            if not self.rows or row.name in self.rows:
+            wanted = row.name in self.rows
+            if wanted and row in left_out():
+                raise InputError(f"--row {row.name!r}: {row.needs} is not installed; pip install 'gri-cosim[bench]'")
+            if wanted or (not self.rows and row not in left_out()):
                 yield from ((row, seed) for seed in range(self.seeds if row.varies else 1))
 
     def file(self, row: Row, seed: int) -> Path:
         """Where the result of a job is kept; the name changes with whatever changes the result."""
         facts = (VERSION, row.name, row.given, seed, self.scenes, self.training, self.validation, UPDATES, WINDOW)
         return self.out / "jobs" / f"{sha256(repr(facts).encode()).hexdigest()[:16]}.json"
+
+
+def left_out() -> list[Row]:
+    """Rows that need a module which is not installed."""
+    return [row for row in ROWS if row.needs and find_spec(row.needs) is None]
 
 
 def run(plan: Plan, progress: Progress = no_progress) -> pd.DataFrame:
@@ -75,6 +88,9 @@ def run(plan: Plan, progress: Progress = no_progress) -> pd.DataFrame:
     table = _table(plan, jobs)
     _write(plan.out / "relations.csv", table.to_csv(index=False, float_format="%.4f"))
     _write(plan.out / "relations.md", markdown(table, plan))
+    curves = _curves(plan, jobs)
+    _write(plan.out / "relations_reliability.svg", draw_reliability(curves))
+    _write(plan.out / "relations_abstention.svg", draw_abstention(curves))
     _write(plan.out / "relations.json", json.dumps(card(plan), indent=1))
     return table
 
@@ -89,25 +105,57 @@ def _tests(count: int) -> tuple[TestSet, ...]:
     return tuple(test_sets(count))
 
 
-def _result(plan: Plan, row: Row, seed: int) -> list[dict[str, Any]]:
+@dataclass(frozen=True)
+class Marked:
+    """What a row said of the scored pairs of a test set, beside the truth; S scenes, F pairs whose sender is ahead."""
+
+    p: Float[np.ndarray, "S F"]
+    truth: Bool[np.ndarray, "S F"]
+    uncertainty: Float[np.ndarray, "S F"]
+    behind: Float[np.ndarray, "S B"]
+    """P(follow) of the pairs from behind, which are never true."""
+
+
+def mark(infer: Infer, known: KnownScenes) -> Marked:
+    """Ask a row about scenes."""
+    every = pairs(known.state.shape[1])
+    ahead, behind = ([edge for edge, (i, j) in enumerate(every) if (i > j) is wanted] for wanted in (True, False))
+    answer, truth = ask(infer, known), known.graph().numpy() > 0
+    p = answer.follow.numpy()
+    return Marked(p[:, ahead], truth[:, ahead], answer.uncertainty.numpy()[:, ahead], p[:, behind])
+
+
+def scores_of(marked: Marked) -> dict[str, dict[str, float]]:
+    """All scores of a test set, each with its interval."""
+    values = {name: asdict(score(name, marked.p, marked.truth)) for name in SCORES}
+    values["abstention_area"] = asdict(bootstrap(abstention_area, marked.p, marked.truth, marked.uncertainty))
+    values["false_follow_from_behind"] = asdict(
+        score("false_follow", marked.behind, np.zeros_like(marked.behind, bool))
+    )
+    return values
+
+
+def _result(plan: Plan, row: Row, seed: int) -> dict[str, Any]:
     infer = row.prepare(_training("train", plan.training), _training("validation", plan.validation), seed)
-    found = []
-    for tested in _tests(plan.scenes):
-        n = tested.scenes.state.shape[1]
-        ahead = [edge for edge, (i, j) in enumerate(pairs(n)) if i > j]
-        behind = [edge for edge, (i, j) in enumerate(pairs(n)) if i < j]
-        every, truth = infer(tested.scenes).numpy(), tested.scenes.graph().numpy() > 0
-        p, right = every[:, ahead], truth[:, ahead]
-        values = {name: asdict(score(name, p, right)) for name in SCORES}
-        values["false_follow_from_behind"] = asdict(score("false_follow", every[:, behind], truth[:, behind]))
-        found.append({"set": tested.name, "kind": tested.kind, "scores": values})
-    return found
+    marked = {tested.name: (tested.kind, mark(infer, tested.scenes[: row.most])) for tested in _tests(plan.scenes)}
+    known = [part for kind, part in marked.values() if kind == "drivers"]
+    everyday = np.concatenate([part.uncertainty.mean(1) for part in known])
+    sets = []
+    for name, (kind, part) in marked.items():
+        values = scores_of(part)
+        if kind == "unknown":
+            uncertainty = np.concatenate([everyday, part.uncertainty.mean(1)])
+            strange = np.arange(len(uncertainty)) >= len(everyday)
+            values["unknown_auc"] = asdict(bootstrap(unknown_auc, uncertainty, strange))
+        sets.append({"set": name, "kind": kind, "scores": values})
+    p, truth, uncertainty = (np.concatenate([getattr(part, what) for part in known]) for what in FIELDS)
+    return {"sets": sets, "reliability": reliability(p, truth), "risk": risk_curve(p, truth, uncertainty)}
 
 
 def _table(plan: Plan, jobs: Sequence[tuple[Row, int]]) -> pd.DataFrame:
     rows = []
     for row, seed in jobs:
-        for part in json.loads(plan.file(row, seed).read_text()):
+        for part in json.loads(plan.file(row, seed).read_text())["sets"]:
             for name, value in part["scores"].items():
                 rows.append((row.name, row.given, part["set"], part["kind"], name, seed, *value.values()))
     columns = ["row", "given", "set", "kind", "score", "seed", "value", "low", "high"]
@@ -119,14 +167,34 @@ def _table(plan: Plan, jobs: Sequence[tuple[Row, int]]) -> pd.DataFrame:
     ).reset_index()
 
 
+def _curves(plan: Plan, jobs: Sequence[tuple[Row, int]]) -> dict[str, Curves]:
+    """The diagrams of each row over all foreign drivers: pairs of all seeds together, mean risk."""
+    found: dict[str, list[dict[str, Any]]] = {}
+    for row, seed in jobs:
+        found.setdefault(row.name, []).append(json.loads(plan.file(row, seed).read_text()))
+    return {
+        name: Curves(
+            pairs=np.sum([part["reliability"]["pairs"] for part in parts], 0),
+            p=np.sum([part["reliability"]["p"] for part in parts], 0),
+            true=np.sum([part["reliability"]["true"] for part in parts], 0),
+            risk=np.mean([part["risk"] for part in parts], 0),
+        )
+        for name, parts in found.items()
+    }
+
+
 def markdown(table: pd.DataFrame, plan: Plan) -> str:
     """The page that people read: a summary, balanced accuracy per driver model, false follow per control."""
     accuracy = table[(table["kind"] == "drivers") & (table["score"] == "balanced_accuracy")]
     false = table[(table["kind"] == "control") & (table["score"] == "false_follow")]
+    missing = [row.name for row in left_out() if not plan.rows]
+    fewer = "".join(f" ({row.name}: {row.most})" for row in ROWS if row.most and row.most < plan.scenes)
     parts = [
         "# Who reacts to whom: scores",
-        f"{plan.scenes} scenes per set, {plan.seeds} seeds for rows that depend on one."
+        f"{plan.scenes} scenes per set{fewer}, {plan.seeds} seeds for rows that"
+        " depend on one."
         " [How to read this, and how it is made](../../relations.md).",
+        *([f"Left out: {', '.join(missing)}; install the extra `bench`."] if missing else []),
         "## Summary",
         _summary(table),
         "## Balanced accuracy [%]",
@@ -140,6 +208,14 @@ def markdown(table: pd.DataFrame, plan: Plan) -> str:
         "## False follow in controls [%]",
         'No vehicle reacts to another one of the scene, so every "follow" is wrong.',
         _pivot(false, ""),
+        "## Unknown worlds: AUROC of uncertainty",
+        "Probability that a row trusts itself less in a scene of an unknown world than in one of the drivers above; 0.5"
+        " is chance. The uncertainty of a scene is the mean over its scored pairs.",
+        _pivot(table[table["score"] == "unknown_auc"], "", _plain),
+        "## How far probabilities can be trusted",
+        "Foreign drivers, all seeds together. Left out of the diagram: bins with fewer than 20 pairs.",
+        "![Share of true edges against P(follow), one panel per row](relations_reliability.svg)",
+        "![Share of wrong answers against coverage, one panel per row](relations_abstention.svg)",
     ]
     return "\n\n".join(parts) + "\n"
 
@@ -148,12 +224,15 @@ def _percent(value: float, low: float, high: float) -> str:
     return "–" if np.isnan(value) else f"{100 * value:.0f} ({100 * low:.0f}–{100 * high:.0f})"
 
 
-def _pivot(part: pd.DataFrame, suffix: str) -> str:
+def _plain(value: float, low: float, high: float) -> str:
+    return "–" if np.isnan(value) else f"{value:.2f} ({low:.2f}–{high:.2f})"
+
+
+def _pivot(part: pd.DataFrame, suffix: str, cell: Callable[[float, float, float], str] = _percent) -> str:
     """A line per row of the benchmark, a column per test set whose name ends with the suffix."""
     sets = [name for name in dict.fromkeys(part["set"]) if name.endswith(suffix)]
     cells = {
-        (line["row"], line["set"]): _percent(line["value"], line["low"], line["high"])
-        for line in part.to_dict("records")
+        (line["row"], line["set"]): cell(line["value"], line["low"], line["high"]) for line in part.to_dict("records")
     }
     heads = [name.removesuffix(suffix) for name in sets]
     lines = [f"| row | {' | '.join(heads)} |", "|---" * (len(heads) + 1) + "|"]
@@ -164,20 +243,21 @@ def _pivot(part: pd.DataFrame, suffix: str) -> str:
 def _summary(table: pd.DataFrame) -> str:
     """One line per row: worst and mean balanced accuracy, mean AUC, macro-F1, calibration, mean false follow."""
     lines = [
-        "| row | given | balanced accuracy, worst / mean [%] | macro-F1 [%] | AUC | calibration error | false follow,"
-        " worst / mean [%] |",
-        "|---|---|---|---|---|---|---|",
+        "| row | given | balanced accuracy, worst / mean [%] | macro-F1 [%] | AUC | calibration error | abstention area"
+        " | false follow, worst / mean [%] | unknown worlds, AUROC |",
+        "|---|---|---|---|---|---|---|---|---|",
     ]
     for (name, given), part in table.groupby(["row", "given"], sort=False):
         drivers, control = part[part["kind"] == "drivers"], part[part["kind"] == "control"]
-        value = {score_: drivers.loc[drivers["score"] == score_, "value"] for score_ in SCORES}
+        value = dict(tuple(drivers.groupby("score")["value"]))
         wrong = control.loc[control["score"] == "false_follow", "value"]
         accuracy = value["balanced_accuracy"]
         lines.append(
             f"| {name} | {given} | {100 * accuracy.min():.0f} / {100 * accuracy.mean():.0f}"
             f" | {100 * value['macro_f1'].mean():.0f} | {value['auc'].mean():.2f}"
-            f" | {value['calibration_error'].mean():.2f}"
-            f" | {100 * wrong.max():.0f} / {100 * wrong.mean():.0f} |"
+            f" | {value['calibration_error'].mean():.2f} | {value['abstention_area'].mean():.2f}"
+            f" | {100 * wrong.max():.0f} / {100 * wrong.mean():.0f}"
+            f" | {part.loc[part['score'] == 'unknown_auc', 'value'].mean():.2f} |"
         )
     return "\n".join(lines)
 

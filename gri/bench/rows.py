@@ -5,23 +5,27 @@ labels"), or relations of other scenes ("labels").
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from gri import checkpoint
+from gri.bench.answers import WINDOW, Infer, observed
 from gri.bench.car_following_scenes import DT, LENGTH, KnownScenes, accelerations
 from gri.bench.pair_classifier import train_classifier
+from gri.bench.pcmci_row import pcmci
+from gri.bench.reconstruction_rows import nri, per_step
+from gri.bench.reward_rows import fitted_reward, taught_encoder, untrained_reward
+from gri.bench.structure import with_prior
 from gri.core.edges import EdgeType, pairs
 from gri.networks.model import RelationalModel
 from gri.relations.closed_form_posterior import Weights, explain, follow_probabilities
 
 MOST_LAG = 10  # steps
 UPDATES = 1500  # of the taught classifiers
-WINDOW = 31  # frames of 6 s that every row may see
-Infer = Callable[[KnownScenes], Float[Tensor, "S E"]]
+FLAT_PRIOR, STRUCTURED = "flat prior", "prior: one of those ahead"
 
 
 @dataclass(frozen=True)
@@ -30,16 +34,15 @@ class Row:
 
     name: str
     given: str
-    """"nothing", "no labels" or "labels"."""
+    """"nothing", "no labels" or "labels"; then its prior and its budget."""
     prepare: Callable[[Sequence[KnownScenes], Sequence[KnownScenes], int], Infer]
     """(training scenes, validation scenes, seed) → how to infer."""
     varies: bool = False
     """Whether the seed changes the answer."""
-
-
-def observed(scenes: KnownScenes) -> Float[Tensor, "S N T 3"]:
-    """What rows may see of scenes."""
-    return scenes.state[:, :, :WINDOW]
+    needs: str | None = None
+    """A module that is not among the requirements; without it the row is left out."""
+    most: int | None = None
+    """Scenes of each set that the row is scored on; None: all. For rows that are slow."""
 
 
 def _nobody(scenes: KnownScenes) -> Float[Tensor, "S E"]:
@@ -94,7 +97,9 @@ def _residual(y: Float[Tensor, "S T"], design: Float[Tensor, "S T P"]) -> Float[
     return (y - fitted[..., 0]).square().sum(-1)
 
 
-def _with_threshold(score: Infer) -> Callable[[Sequence[KnownScenes], Sequence[KnownScenes], int], Infer]:
+def _with_threshold(
+    score: Callable[[KnownScenes], Tensor],
+) -> Callable[[Sequence[KnownScenes], Sequence[KnownScenes], int], Infer]:
     """Turn a score into a probability by logistic regression on the validation scenes, for pairs from ahead only."""
 
     def prepare(train: Sequence[KnownScenes], validation: Sequence[KnownScenes], seed: int) -> Infer:
@@ -147,8 +152,48 @@ def _untrained(train: Sequence[KnownScenes], validation: Sequence[KnownScenes], 
 
 
 def _released(name: str) -> Row:
-    return Row(f"released: {name}", "no labels", lambda *_: _model(checkpoint.load(name)))
+    return Row(f"released: {name}", "no labels; its own scenes", lambda *_: _model(checkpoint.load(name)))
 
+
+def _with_prior(row: Row) -> Row:
+    """The same row under the structured prior of `gri.bench.structure`."""
+    given = row.given.replace(FLAT_PRIOR, STRUCTURED)
+    return replace(row, name=f"{row.name} + prior", given=given, prepare=lambda *got: with_prior(row.prepare(*got)))
+
+
+UNTRAINED = Row("untrained reward", f"nothing; {FLAT_PRIOR}", lambda *_: untrained_reward(structured=False))
+GRI_REWARD = Row(
+    "GRI, reward",
+    f"no labels; {FLAT_PRIOR}; 600 scenes, 150 updates",
+    lambda train, _, seed: fitted_reward(train, seed, structured=False),
+    varies=True,
+)
+GRI_ENCODER = Row(
+    "GRI, encoder",
+    f"no labels; {FLAT_PRIOR}; 1,200 scenes, 150 + 500 updates",
+    lambda train, _, seed: taught_encoder(train, seed),
+    varies=True,
+)
+NRI = Row(
+    "NRI",
+    f"no labels; {FLAT_PRIOR}; 6,000 scenes, 400 updates",
+    lambda train, _, seed: nri(train, seed),
+    varies=True,
+)
+PER_STEP = Row(
+    "NRI per step (as dNRI)",
+    f"no labels; {FLAT_PRIOR}; 6,000 scenes, 600 updates",
+    lambda train, _, seed: per_step(train, seed),
+    varies=True,
+)
+PCMCI = Row(
+    "PCMCI",
+    "labels (threshold); senders ahead",
+    lambda train, validation, seed: _with_threshold(pcmci)(train, [known[:40] for known in validation], seed),
+    needs="tigramite",
+    most=60,
+)
+US101 = _released("us101_car_following")
 
 ROWS: tuple[Row, ...] = (
     Row("nobody follows", "nothing", lambda *_: _nobody),
@@ -163,10 +208,27 @@ ROWS: tuple[Row, ...] = (
         lambda train, _, seed: train_classifier(train, lambda state: state[:, :, WINDOW - 1 : WINDOW], seed, UPDATES),
         varies=True,
     ),
-    _released("us101_car_following"),
+    PCMCI,
+    NRI,
+    _with_prior(NRI),
+    PER_STEP,
+    _with_prior(PER_STEP),
+    UNTRAINED,
+    replace(
+        UNTRAINED,
+        name="untrained reward + prior",
+        given=f"nothing; {STRUCTURED}",
+        prepare=lambda *_: untrained_reward(structured=True),
+    ),
+    GRI_REWARD,
+    replace(_with_prior(GRI_REWARD), prepare=lambda train, _, seed: fitted_reward(train, seed, structured=True)),
+    GRI_ENCODER,
+    _with_prior(GRI_ENCODER),
+    US101,
+    _with_prior(US101),
     _released("ngsim_car_following"),
     Row("released: sumo_car_following", "labels (SUMO's)", _released("sumo_car_following").prepare),
-    Row("closed form", "no labels", _closed_form, varies=True),
+    Row("closed form", "no labels; prior: one of those ahead, weights learned", _closed_form, varies=True),
     Row(
         "labelled classifier (ceiling)",
         "labels",

@@ -2,6 +2,10 @@
 
 A pair (i, j) is *scored* where i is ahead of j: only there can j follow i. Pairs from behind are counted apart, as
 their true answer is always "none".
+
+A row that does not know can abstain. `risk_curve` is its share of wrong answers among the pairs that it trusts most,
+and `abstention_area` the mean of that share over all coverages. `unknown_auc` asks whether a row trusts itself less in
+an unknown world than in the known one.
 """
 
 from collections.abc import Callable
@@ -12,11 +16,14 @@ from jaxtyping import Bool, Float
 from scipy.stats import rankdata
 
 BINS = 10  # of the calibration error
-RESAMPLES = 1000
+RESAMPLES = 300
 
 Probabilities = Float[np.ndarray, "S F"]
 """P(follow) of F scored pairs in S scenes."""
 Truth = Bool[np.ndarray, "S F"]
+Uncertainty = Float[np.ndarray, "S F"]
+"""How little a row trusts each answer; only the order counts."""
+COVERAGES = tuple(np.linspace(0.05, 1.0, 20).round(2).tolist())
 
 
 @dataclass(frozen=True)
@@ -73,6 +80,48 @@ def calibration_error(p: Probabilities, truth: Truth) -> float:
     return float(np.abs(gaps).sum() / counts.sum())
 
 
+def reliability(p: Probabilities, truth: Truth) -> dict[str, list[float]]:
+    """The reliability diagram over ten equal bins of P(follow): pairs, their mean P(follow) and share of true edges.
+
+    Sums instead of means, so that seeds can be added.
+    """
+    place = np.minimum((p * BINS).astype(int), BINS - 1).ravel()
+    return {
+        "pairs": np.bincount(place, minlength=BINS).astype(float).tolist(),
+        "p": np.bincount(place, p.ravel(), BINS).tolist(),
+        "true": np.bincount(place, truth.ravel(), BINS).tolist(),
+    }
+
+
+def _errors_by_trust(p: Probabilities, truth: Truth, uncertainty: Uncertainty) -> Float[np.ndarray, " P"]:
+    """Wrong answers (0 or 1), those that are trusted most first; pairs trusted alike share their mean."""
+    wrong = ((p > 0.5) != truth).ravel().astype(float)
+    _, group = np.unique(uncertainty.ravel(), return_inverse=True)
+    mean = np.bincount(group, wrong) / np.bincount(group)
+    return mean[np.sort(group)]
+
+
+def risk_curve(p: Probabilities, truth: Truth, uncertainty: Uncertainty) -> list[float]:
+    """Share of wrong answers among the share of pairs that is trusted most, at each of `COVERAGES`."""
+    wrong = _errors_by_trust(p, truth, uncertainty)
+    counts = np.ceil(np.array(COVERAGES) * len(wrong)).astype(int)
+    return (wrong.cumsum()[counts - 1] / counts).tolist()
+
+
+def abstention_area(p: Probabilities, truth: Truth, uncertainty: Uncertainty) -> float:
+    """Area under the curve of risk against coverage (Geifman and El-Yaniv 2017); the smaller, the better.
+
+    A row whose trust says nothing has its share of wrong answers here.
+    """
+    wrong = _errors_by_trust(p, truth, uncertainty)
+    return float((wrong.cumsum() / np.arange(1, len(wrong) + 1)).mean())
+
+
+def unknown_auc(uncertainty: Float[np.ndarray, " S"], unknown: Bool[np.ndarray, " S"]) -> float:
+    """Probability that a scene of an unknown world is trusted less than one of the known world; ties count half."""
+    return auc(uncertainty[:, None], unknown[:, None])
+
+
 SCORES: dict[str, Callable[[Probabilities, Truth], float]] = {
     "balanced_accuracy": balanced_accuracy,
     "macro_f1": macro_f1,
@@ -83,12 +132,19 @@ SCORES: dict[str, Callable[[Probabilities, Truth], float]] = {
 
 
 def score(name: str, p: Probabilities, truth: Truth, seed: int = 0) -> Score:
-    """A score with a percentile bootstrap over scenes, as pairs of one scene are not independent."""
-    function = SCORES[name]
+    """One of `SCORES` with its interval."""
+    return bootstrap(SCORES[name], p, truth, seed=seed)
+
+
+def bootstrap(function: Callable[..., float], *values: np.ndarray, seed: int = 0) -> Score:
+    """A score of arrays that share the axis of scenes, with a percentile bootstrap over scenes.
+
+    Pairs of one scene are not independent, so that whole scenes are drawn.
+    """
     rng = np.random.default_rng(seed)
-    draws = rng.integers(len(p), size=(RESAMPLES, len(p)))
-    values = np.array([function(p[rows], truth[rows]) for rows in draws])
-    if np.isnan(values).all():
-        return Score(function(p, truth), float("nan"), float("nan"))
-    low, high = np.nanquantile(values, (0.025, 0.975))
-    return Score(function(p, truth), float(low), float(high))
+    draws = rng.integers(len(values[0]), size=(RESAMPLES, len(values[0])))
+    found = np.array([function(*(value[rows] for value in values)) for rows in draws])
+    if np.isnan(found).all():
+        return Score(function(*values), float("nan"), float("nan"))
+    low, high = np.nanquantile(found, (0.025, 0.975))
+    return Score(function(*values), float(low), float(high))

@@ -3,7 +3,19 @@
 import numpy as np
 import pytest
 
-from gri.bench.scores import auc, balanced_accuracy, calibration_error, false_follow, macro_f1, score
+from gri.bench.scores import (
+    COVERAGES,
+    abstention_area,
+    auc,
+    balanced_accuracy,
+    calibration_error,
+    false_follow,
+    macro_f1,
+    reliability,
+    risk_curve,
+    score,
+    unknown_auc,
+)
 
 P = np.array([[0.9, 0.2], [0.6, 0.4], [0.3, 0.8]])
 TRUTH = np.array([[True, False], [False, True], [False, True]])
@@ -60,3 +72,35 @@ def test_intervals_cover_what_is_known():
     found = score("balanced_accuracy", p, truth)
     assert found.low < 0.8 < found.high
     assert 0.06 < found.high - found.low < 0.1
+
+
+def test_reliability():
+    """Bins of P(follow): .2, .3, .4, .6, .8, .9 with the truths 0, 0, 1, 0, 1, 1."""
+    found = reliability(P, TRUTH)
+    assert found["pairs"] == [0, 0, 1, 1, 1, 0, 1, 0, 1, 1]
+    assert found["true"] == [0, 0, 0, 0, 1, 0, 0, 0, 1, 1]
+    assert sum(found["p"]) == pytest.approx(P.sum())
+
+
+def test_abstention_area():
+    """Wrong are .4 and .6, which are trusted least: risks 0, 0, 0, 0, 1/5, 2/6. The other way round: 1, 1, 2/3 …"""
+    doubt = 1 - np.maximum(P, 1 - P)
+    assert abstention_area(P, TRUTH, doubt) == pytest.approx((1 / 5 + 2 / 6) / 6)
+    assert abstention_area(P, TRUTH, -doubt) == pytest.approx((1 + 1 + 2 / 3 + 2 / 4 + 2 / 5 + 2 / 6) / 6)
+
+
+def test_trust_that_says_nothing_gives_the_share_of_wrong_answers():
+    same = np.zeros_like(P)
+    assert abstention_area(P, TRUTH, same) == pytest.approx(2 / 6)
+    assert risk_curve(P, TRUTH, same) == pytest.approx([2 / 6] * len(COVERAGES))
+
+
+def test_risk_at_full_coverage_is_the_share_of_wrong_answers():
+    doubt = 1 - np.maximum(P, 1 - P)
+    curve = risk_curve(P, TRUTH, doubt)
+    assert (curve[0], curve[-1]) == pytest.approx((0, 2 / 6))
+
+
+def test_unknown_auc():
+    """Unknown .7 and .2 against known .5 and .1: three of four pairs are in order."""
+    assert unknown_auc(np.array([0.7, 0.2, 0.5, 0.1]), np.array([True, True, False, False])) == pytest.approx(0.75)
