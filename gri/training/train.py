@@ -18,7 +18,6 @@ from gri.evaluation.evaluate import evaluate
 from gri.networks.decoder import DecoderConfig
 from gri.networks.encoder import EncoderConfig
 from gri.networks.model import Edge, ModelConfig, RelationalModel
-from gri.networks.pair_encoder import PairEncoderConfig
 from gri.progress import Progress, no_progress
 from gri.rewards.structured import ShapedReward, StructuredReward
 from gri.rewards.unstructured import NetworkReward
@@ -49,8 +48,6 @@ class TrainConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     decoder: DecoderConfig = DecoderConfig()
     encoder: EncoderConfig = EncoderConfig()
     """Not used by objectives that do not infer graphs."""
-    pair_encoder: PairEncoderConfig | msgspec.UnsetType = msgspec.UNSET
-    """Use this encoder instead of the paper's; for car following with `teaching`."""
 
 
 @dataclass(frozen=True)
@@ -96,8 +93,7 @@ def model_config(config: TrainConfig) -> ModelConfig:
     chosen = expert.model_config(
         config.data.recorded or config.data.scene_range,
         config.decoder,
-        encoder=None if supervised or all_alike or config.pair_encoder is not msgspec.UNSET else config.encoder,
-        pair_encoder=config.pair_encoder,
+        encoder=None if supervised or all_alike else config.encoder,
         graph=_uniform_graph(3) if all_alike else None,
     )
     return msgspec.structs.replace(chosen, told_graph=supervised)

@@ -1,6 +1,5 @@
 """Synthetic scenes: roll-outs of an expert policy that was trained on the true reward and graph (Sec. VI-C)."""
 
-import msgspec
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -17,7 +16,6 @@ from gri.data.ranges.recorded import RecordedRange
 from gri.networks.decoder import DecoderConfig
 from gri.networks.encoder import EncoderConfig
 from gri.networks.model import Edge, ModelConfig, RelationalModel
-from gri.networks.pair_encoder import PairEncoderConfig
 from gri.networks.rollout import rollout
 from gri.progress import Progress, no_progress
 from gri.rewards.structured import StructuredReward
@@ -91,7 +89,6 @@ def model_config(
     decoder: DecoderConfig,
     encoder: EncoderConfig | None,
     graph: tuple[Edge, ...] | None = None,
-    pair_encoder: PairEncoderConfig | msgspec.UnsetType = msgspec.UNSET,
 ) -> ModelConfig:
     """The configuration of a model for the scenes.
 
@@ -106,7 +103,6 @@ def model_config(
         scale=scenes.scale,
         decoder=decoder,
         encoder=encoder,
-        pair_encoder=pair_encoder,
         graph=scenes.one_graph[0].edges if graph is None else graph,
     )
 

@@ -6,7 +6,6 @@ import msgspec
 
 from gri.training.grounded.augmentation import Augmentation, Shifts
 from gri.training.grounded.optimal_scenes import OptimaSettings
-from gri.training.relations.teach_encoder import TeachingSettings
 
 
 class GroundedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="gri"):
@@ -74,7 +73,5 @@ class GroundedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
 
     With a limit, a test with shorter headways is a test with headways that were not trained.
     """
-    teaching: TeachingSettings | msgspec.UnsetType = msgspec.UNSET
-    """Teach a pair encoder by drawn scenes, before the policy; it then learns nothing else."""
     augmentation: Augmentation = Augmentation()
     shifts: Shifts = Shifts()

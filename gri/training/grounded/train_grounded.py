@@ -9,7 +9,6 @@
    random graphs and from shifted starts, so that an edge keeps its meaning off the data.
 """
 
-import msgspec
 import torch
 from jaxtyping import Float
 from torch import Tensor
@@ -27,7 +26,6 @@ from gri.training.grounded.policy_posterior import posterior_by_policy
 from gri.training.grounded.reward_likelihood import fit_reward, graph_prior, scene_posterior
 from gri.training.grounded.settings import GroundedSettings
 from gri.training.optimisation import Descent, action_error, batches, reconstruction_loss
-from gri.training.relations.teach_encoder import teach
 
 
 def train_grounded(
@@ -44,9 +42,7 @@ def train_grounded(
     graph_scenes = scenes[: settings.graph_scenes]
     if settings.judge == "policy" or settings.optima is not None:
         plan_policy(model, reward, scenes, settings, generator, progress)
-    if settings.teaching is not msgspec.UNSET:
-        posterior = teach(model, scenes, settings.teaching, seed, progress)[: len(graph_scenes)]
-    elif settings.judge == "policy":
+    if settings.judge == "policy":
         posterior = posterior_by_policy(model, reward, graph_scenes, graph_prior(reward, graph_scenes, settings))
     else:
         posterior = scene_posterior(model, reward, graph_scenes, settings, progress)
@@ -91,9 +87,7 @@ def fit_encoder_and_policy(
         optima = optimal_scenes(model, reward, start, leader, graph, settings.optima, progress)
     lead = settings.encoder_lead
     joint_updates = settings.updates if settings.encoder_updates is None else settings.encoder_updates
-    if settings.teaching is not msgspec.UNSET:
-        lead, joint_updates = 0, 0  # the encoder has learned all it should
-    encoder_descent = Descent(model.encoder.parameters(), settings.encoder_rate, max(lead + joint_updates, 1))
+    encoder_descent = Descent(model.encoder.parameters(), settings.encoder_rate, lead + joint_updates)
     for update, chosen in enumerate(batches(len(posterior), settings.batch, lead, generator, weight)):
         inferred = _infer_augmented(model, scenes[chosen], settings, generator)
         loss = _cross_entropy(posterior[chosen], inferred)

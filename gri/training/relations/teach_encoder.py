@@ -15,9 +15,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from gri.core.scenes import Scenes
-from gri.errors import InputError
-from gri.networks.model import RelationalModel
 from gri.networks.pair_encoder import PairEncoder
 from gri.progress import Progress, no_progress
 from gri.relations.reaction_scenes import UNSEEN, ReactionPrior, Reactions, draw_reactions
@@ -42,22 +39,6 @@ class TeachingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     updates: int = 6000
     batch: int = 192
     rate: float = 3e-3
-
-
-def teach(
-    model: RelationalModel, scenes: Scenes, settings: TeachingSettings, seed: int, progress: Progress = no_progress
-) -> Float[Tensor, "S E K"]:
-    """Teach the model's pair encoder, fit its score of novelty to the scenes, and infer the graphs of the scenes.
-
-    Raises `InputError` if the model has no pair encoder.
-    """
-    if not isinstance(model.encoder, PairEncoder) or model.novelty is None:
-        raise InputError("field objective.teaching: got no pair encoder, wanted one; add the field pair_encoder")
-    teach_encoder(model.encoder, settings, seed, progress)
-    history = scenes.observed[:, :, -model.history_steps :]
-    model.novelty.fit(history, torch.Generator().manual_seed(seed))
-    with torch.no_grad():
-        return torch.cat([model.infer(part).probs for part in history.split(512)])
 
 
 def teach_encoder(
