@@ -78,6 +78,53 @@ def train(
     next_command(f"gri evaluate {path}")
 
 
+def teach(
+    path: Annotated[
+        Path, typer.Argument(metavar="CHECKPOINT", help="A checkpoint file, or the name of a released one.")
+    ],
+    out: Annotated[Path, typer.Option(help="Checkpoint to write.")],
+    seed: Annotated[int, typer.Option(help="Seed of the drawn scenes, the initial weights and the training.")] = 0,
+    scenes: ScenesOption = SCENES,
+    recordings: Annotated[
+        list[Path] | None,
+        typer.Option(help="NGSIM files for contrastive teaching besides the drawn scenes; repeat for more."),
+    ] = None,
+    updates: Annotated[int | None, typer.Option(min=1, help="Updates of the encoder; default: 12,000.")] = None,
+) -> None:
+    """Teach a car-following model's encoder who reacts to whom.
+
+    Reward and policy stay as they are (docs/training.md).
+    """
+    one_thread()
+    from gri import checkpoint
+    from gri.training.relations.teach_checkpoint import teach_model
+    from gri.training.relations.teach_encoder import TeachingSettings
+    from gri.training.train import TrainConfig
+
+    path = resources.find_checkpoint(path)
+    model, made = checkpoint.load(path), checkpoint.provenance(path)
+    if "config" not in made:
+        raise InputError(
+            f"{path}: the checkpoint does not say which scenes it was trained on; teach one of `gri train`"
+        )
+    config = msgspec.convert(made["config"], TrainConfig)
+    settings = TeachingSettings() if updates is None else TeachingSettings(updates=updates)
+    windows, steps = None, model.history_steps
+    if recordings:
+        from gri.training.relations.recorded_windows import recorded_windows
+
+        windows, known = recorded_windows(recordings, steps)
+    elif config.data.recorded is None:
+        known = _scenes(config, scenes).train.observed[:, :, :steps]
+    else:
+        raise InputError(f"{path}: got no recordings, wanted those that it learned from; give them with --recordings")
+    with ProgressDisplay() as progress:
+        taught, how = teach_model(model, known, settings, seed, windows, progress=progress)
+    checkpoint.save(out, taught, checkpoint.load_reward(path), {**made, "teaching": how})
+    say(f"taught in {how['cpu_seconds']} s of CPU, wrote {out}")
+    next_command(f"gri evaluate {out}")
+
+
 def evaluate(
     path: Annotated[
         Path, typer.Argument(metavar="CHECKPOINT", help="A checkpoint file, or the name of a released one.")

@@ -15,7 +15,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from gri.networks.pair_encoder import PairEncoder
+from gri.networks.pair_encoder import NEVER, PairEncoder
 from gri.progress import Progress, no_progress
 from gri.relations.reaction_scenes import UNSEEN, ReactionPrior, Reactions, draw_reactions
 from gri.training.optimisation import Descent
@@ -36,21 +36,35 @@ class TeachingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     """Share of scenes with strangers."""
     measurement_noise: tuple[float, float] = (0.001, 0.2)
     """Standard deviation of noise on x [m] and v [m/s], log-uniform, in 0.3 of the scenes."""
-    updates: int = 6000
+    recorded_weight: float = 1.0
+    """Weight of recorded windows, where there are any."""
+    updates: int = 12_000
     batch: int = 192
     rate: float = 3e-3
 
 
 def teach_encoder(
-    encoder: PairEncoder, settings: TeachingSettings, seed: int, progress: Progress = no_progress
+    encoder: PairEncoder,
+    settings: TeachingSettings,
+    seed: int,
+    recorded: Reactions | None = None,
+    progress: Progress = no_progress,
 ) -> None:
-    """Train the encoder in place."""
+    """Train the encoder in place.
+
+    `recorded` are windows of recorded traffic in which each vehicle follows the next, and windows broken on purpose in
+    which no vehicle can react to another one (leader `UNSEEN`). Each update then has a batch of both kinds.
+    """
     generator = torch.Generator().manual_seed(seed)
     pool = draw_pool(settings, encoder.dt, generator, progress)
     descent = Descent(encoder.parameters(), settings.rate, settings.updates, clip=1.0)
     for update in range(settings.updates):
-        scenes = broken_batch(pool, settings, generator)
-        loss = explanation_loss(encoder, scenes)
+        loss = explanation_loss(encoder, broken_batch(pool, settings, generator))
+        if recorded is not None:
+            rows = torch.randint(len(recorded), (settings.batch,), generator=generator)
+            shown = int(torch.randint(2, recorded.x.shape[1] + 1, (1,), generator=generator))
+            windows = hide_vehicles(recorded[rows], shown, generator)
+            loss = loss + settings.recorded_weight * explanation_loss(encoder, windows, merge_nulls=True)
         descent.step(loss)
         progress("relations", update + 1, settings.updates, float(loss.detach()))
 
@@ -68,9 +82,16 @@ def draw_pool(
     return Reactions(*(torch.cat([getattr(part, name) for part in parts]) for name in ("x", "v", "leader")))
 
 
-def explanation_loss(encoder: PairEncoder, scenes: Reactions) -> Float[Tensor, ""]:
-    """Cross-entropy of the explanations of all vehicles that have one ahead."""
+def explanation_loss(encoder: PairEncoder, scenes: Reactions, merge_nulls: bool = False) -> Float[Tensor, ""]:
+    """Cross-entropy of the explanations of all vehicles that have one ahead.
+
+    `merge_nulls`: the scenes do not say whether a vehicle without a leader keeps a speed of its own or has an unseen
+    leader; count both as `UNSEEN`.
+    """
     scores = encoder.scores(torch.stack([scenes.x, scenes.v], -1))
+    if merge_nulls:
+        nobody = scores[..., :2].logsumexp(-1, keepdim=True)
+        scores = torch.cat([torch.full_like(nobody, NEVER), nobody, scores[..., 2:]], -1)
     target = torch.where(scenes.leader >= 0, scenes.leader + 2, (scenes.leader == UNSEEN).long())
     last = scenes.x[:, :, -1]
     judged = last < last.amax(1, keepdim=True)
