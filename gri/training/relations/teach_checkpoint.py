@@ -1,6 +1,6 @@
 """Give a trained car-following model an encoder that was taught who reacts to whom.
 
-Reward and policy stay as they are. The encoder is replaced by a `PairEncoder`, and the score of novelty is fitted to the
+Reward and policy stay as they are. The encoder is replaced by a `PairEncoder`. The score of novelty is fitted to the
 histories of the scenes that the model was trained on.
 """
 
