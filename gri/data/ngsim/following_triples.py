@@ -5,8 +5,9 @@ react: strangers, other lanes, stretched headways, free flow. `recorded_followin
 """
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import msgspec
@@ -112,9 +113,17 @@ def recorded_pairs(
 
 
 def recorded_following(
-    site: Site, steps: int, vehicles: int, split: str, stride: int, copies: int = 1, fold: int = 0, seed: int = 0
+    site: Site,
+    steps: int,
+    vehicles: int,
+    split: str,
+    stride: int,
+    copies: int = 1,
+    fold: int = 0,
+    seed: int = 0,
+    kinds: Collection[str] | None = None,
 ) -> Mapping[str, FollowingWindows]:
-    """Windows of one site by kind; kinds without a window are left out.
+    """Windows of one site by kind, or only of some `kinds`; kinds without a window are left out.
 
     In "recorded" each vehicle follows the next one. In "one between, in the next lane" vehicle 0 follows 2. In "vehicle
     0 at constant speed" vehicle 1 still follows 2. In all others nobody follows a vehicle of the window.
@@ -123,30 +132,41 @@ def recorded_following(
     part = Part(split, fold)
     together = _consecutive(site, vehicles, rules, part)
     following = together.close()
-    generator = torch.Generator().manual_seed(seed)
-    low, high = FREE_ADDED
-    shape = (len(together), vehicles - 1)
-    added = low + (high - low) * torch.rand(shape, generator=generator, dtype=torch.float64)
-    far = lengthened(together, added, "headway + 150 to 300 m")
-    fast = (together.state[..., 1] >= FREE_SPEED).all(-1).all(-1)
-    free = _consecutive(site, vehicles, msgspec.structs.replace(rules, spacing=np.inf), part)
-    apart = ((free.headways() >= FREE_HEADWAY).all(-1) & (free.state[:, :-1, :, 1] >= FREE_SPEED).all(-1)).all(-1)
-    free = replace(free, leader=torch.full_like(free.leader, NOBODY))[apart]
-    found = {
-        "recorded": following,
-        "strangers": strangers(following, copies),
-        "different lanes": _lanes(site, vehicles, rules, part, "different lanes"),
-        **{name: broken(following) for name, broken in BREAKS.items()},
-        "headway + 150 to 300 m": far,
-        "free flow, headway added": far[fast].named("free flow, headway added"),
-        "free flow, recorded": free.named("free flow, recorded"),
+    makers: dict[str, Callable[[], FollowingWindows]] = {
+        "recorded": lambda: following,
+        "strangers": lambda: strangers(following, copies),
+        "different lanes": lambda: _lanes(site, vehicles, rules, part, "different lanes"),
+        **{name: partial(broken, following) for name, broken in BREAKS.items()},
+        "headway + 150 to 300 m": lambda: _far(together, seed),
+        "free flow, headway added": lambda: _fast(_far(together, seed)).named("free flow, headway added"),
+        "free flow, recorded": lambda: _free_flow(site, vehicles, rules, part),
     }
     if vehicles == 3:
-        found["one between, in the next lane"] = _lanes(site, 3, rules, part, "one between, in the next lane")
+        between = "one between, in the next lane"
+        makers[between] = lambda: _lanes(site, 3, rules, part, between)
     else:
-        triples = _consecutive(site, 3, rules, part)
-        found["the leader's leader"] = leaders_leader(triples).close()
-    return {name: part for name, part in found.items() if len(part)}
+        makers["the leader's leader"] = lambda: leaders_leader(_consecutive(site, 3, rules, part)).close()
+    found = {name: make() for name, make in makers.items() if kinds is None or name in kinds}
+    return {name: windows for name, windows in found.items() if len(windows)}
+
+
+def _far(windows: FollowingWindows, seed: int) -> FollowingWindows:
+    generator = torch.Generator().manual_seed(seed)
+    low, high = FREE_ADDED
+    shape = (len(windows), windows.state.shape[1] - 1)
+    added = low + (high - low) * torch.rand(shape, generator=generator, dtype=torch.float64)
+    return lengthened(windows, added, "headway + 150 to 300 m")
+
+
+def _fast(windows: FollowingWindows) -> FollowingWindows:
+    return windows[(windows.state[..., 1] >= FREE_SPEED).all(-1).all(-1)]
+
+
+def _free_flow(site: Site, vehicles: int, rules: Rules, part: Part) -> FollowingWindows:
+    """Recorded windows with the speeds and headways of free flow."""
+    known = _consecutive(site, vehicles, msgspec.structs.replace(rules, spacing=np.inf), part)
+    apart = known[(known.headways() >= FREE_HEADWAY).all(-1).all(-1)]
+    return _fast(replace(apart, leader=torch.full_like(apart.leader, NOBODY))).named("free flow, recorded")
 
 
 def _consecutive(site: Site, vehicles: int, rules: Rules, part: Part) -> FollowingWindows:
