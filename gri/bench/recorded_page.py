@@ -12,6 +12,7 @@ FEW = 20  # windows; with fewer, a figure says nothing
 
 def markdown(table: pd.DataFrame) -> str:
     """Agreement, AUC against strangers, and false "follow" by control, as tables for people."""
+    lanes, table = table[table["vehicles"] == "lane changes"], table[table["vehicles"] != "lane changes"]
     sites = list(dict.fromkeys(table["site"]))
     parts = [
         "# Who reacts to whom in recorded traffic: scores",
@@ -30,6 +31,14 @@ def markdown(table: pd.DataFrame) -> str:
         for vehicles in ("triples", "pairs"):
             chosen = tested[(tested["site"] == site) & (tested["vehicles"] == vehicles) & (tested["window"] == "6 s")]
             parts += [f"## {site}, {vehicles}, 6 s [%]", *_answers(chosen)]
+    if len(lanes):
+        cells = {
+            (line["row"], line["score"]): _percent(line["value"], line["low"], line["high"])
+            for line in lanes.to_dict("records")
+        }
+        scores = list(dict.fromkeys(lanes["score"]))
+        heading = f"## Lane changes, 8 s, {lanes['windows'].max()} windows of test vehicles [%]"
+        parts += [heading, _table(scores, list(dict.fromkeys(lanes["row"])), scores, cells)]
     return "\n\n".join(parts) + "\n"
 
 

@@ -15,6 +15,7 @@ import pandas as pd
 import torch
 
 from gri.bench.car_following_scenes import KnownScenes
+from gri.bench.recorded_lane_changes import lane_change_scores
 from gri.bench.recorded_page import markdown
 from gri.bench.recorded_rows import RECORDED_ROWS, TAUGHT_KINDS, UPDATES, RecordedRow
 from gri.bench.recorded_scores import ranking, share
@@ -50,6 +51,8 @@ class RecordedPlan:
     rows: tuple[str, ...] = ()
     """Only rows of these names; () for all."""
     windows: tuple[str, ...] = tuple(STEPS)
+    lanes: bool = True
+    """Whether lane changes are scored as well, all rows of them."""
 
     def jobs(self) -> Iterator[tuple[RecordedRow, str, int]]:
         """Rows, window lengths and seeds; rows that do not depend on the seed are done once."""
@@ -82,11 +85,22 @@ def run_recorded(plan: RecordedPlan, progress: Progress = no_progress) -> pd.Dat
         if not path.is_file():
             write(path, json.dumps(_result(recordings, row, window, seed), indent=1))
         results += [{"row": row.name, "given": row.given, **part} for part in json.loads(path.read_text())]
+    if plan.lanes:
+        results += _lane_changes(plan, digests)
     progress("recorded relations", len(jobs), len(jobs), 0.0)
     table = _over_seeds(pd.DataFrame(results))
     write(plan.out / "recorded.csv", table.to_csv(index=False, float_format="%.4f"))
     write(plan.out / "recorded.md", markdown(table))
     return table
+
+
+def _lane_changes(plan: RecordedPlan, digests: list[str]) -> list[dict[str, Any]]:
+    """Scores of recorded lane changes; made once."""
+    path = plan.out / "jobs" / f"lanes-{sha256(repr((VERSION, digests)).encode()).hexdigest()[:16]}.json"
+    if not path.is_file():
+        write(path, lane_change_scores(plan.files).to_json(orient="records", indent=1))
+    where = {"part": "test", "site": "all", "window": "8 s", "vehicles": "lane changes", "kind": "lane changes"}
+    return [{**line, **where} for line in json.loads(path.read_text())]
 
 
 def _over_seeds(long: pd.DataFrame) -> pd.DataFrame:

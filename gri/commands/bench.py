@@ -40,7 +40,7 @@ def relations(
     try:
         with ProgressDisplay() as progress:
             if recordings:
-                run_recorded(RecordedPlan(out, tuple(recordings), seeds, tuple(row or ())), progress)
+                run_recorded(RecordedPlan(out, tuple(recordings), seeds, tuple(row or ()), lanes=not row), progress)
             else:
                 run(Plan(out, seeds, scenes, tuple(row or ())), progress)
     except KeyboardInterrupt:

@@ -7,20 +7,22 @@ import pandas as pd
 
 from tests.gri.data.ngsim.conftest import CLOCK, as_text, platoon
 
-FRAMES = 150
+FRAMES = 110
 
 
-def waves(platoons: int = 40, reacts: bool = True) -> pd.DataFrame:
+def waves(platoons: int = 30, reacts: bool = True) -> pd.DataFrame:
     """Platoons of three, each at its time, or each vehicle with a wave of its own."""
     generator, tables = np.random.default_rng(0), []
     for which in range(platoons):
         table = platoon(3, FRAMES, first_id=100 * (which % 10) + 3 * (which // 10), clock=CLOCK + 10**5 * which)
-        phase = generator.uniform(0, 6.3, 3) if not reacts else np.full(3, generator.uniform(0, 6.3))
+        phase, rate = generator.uniform(0, 6.3, (3, 3)), generator.uniform(0.5, 2.0, (3, 3))
+        if reacts:
+            phase, rate = phase[[0, 0, 0]], rate[[0, 0, 0]]
         for k, (_, rows) in enumerate(table.groupby("Vehicle_ID").groups.items()):
             time = 0.1 * table.loc[rows, "Frame_ID"] - 0.9 * (2 - k)
-            wave = 0.8 * time + phase[k]
-            table.loc[rows, "Local_Y"] += 10.0 * np.sin(wave)
-            table.loc[rows, "v_Vel"] += 8.0 * np.cos(wave)
+            wave = np.outer(time, rate[k]) + phase[k]
+            table.loc[rows, "Local_Y"] += (3.0 / rate[k] * np.sin(wave)).sum(1)
+            table.loc[rows, "v_Vel"] += 3.0 * np.cos(wave).sum(1)
         tables.append(table)
     return pd.concat(tables)
 

@@ -14,7 +14,7 @@ ROWS = ("nobody follows", "everybody follows the next", "lagged correlation of s
 
 
 def plan(folder, path, rows=ROWS) -> RecordedPlan:
-    return RecordedPlan(folder, (path,), 1, rows, ("6 s",))
+    return RecordedPlan(folder, (path,), 1, rows, ("6 s",), lanes=False)
 
 
 @pytest.fixture(scope="module")
