@@ -81,6 +81,8 @@ def _answers(part: pd.DataFrame) -> list[str]:
 
 
 def _table(heads: Sequence[str], rows: Sequence[str], columns: Sequence, cells: dict) -> str:
+    if not heads:
+        return "Too few windows."
     lines = [f"| row | {' | '.join(heads)} |", "|---" * (len(heads) + 1) + "|"]
     return "\n".join(
         [*lines, *(f"| {row} | {' | '.join(cells.get((row, key), '–') for key in columns)} |" for row in rows)]
