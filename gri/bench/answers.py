@@ -11,8 +11,6 @@ from gri.bench.car_following_scenes import KnownScenes
 from gri.core.edges import pairs
 from gri.errors import InputError
 
-WINDOW = 31  # frames of 6 s that every row may see
-
 
 @dataclass(frozen=True)
 class Answer:
@@ -29,24 +27,27 @@ class Answer:
         return 1 - torch.maximum(self.follow, 1 - self.follow) if self.unknown is None else self.unknown
 
 
+Score = Callable[[KnownScenes], Float[Tensor, "S E"]]
+"""Scenes → a number per pair that grows with the evidence for a relation."""
 Infer = Callable[[KnownScenes], Answer | Float[Tensor, "S E"]]
 """Scenes → an answer, or only P(follow)."""
 
 
 def observed(scenes: KnownScenes) -> Float[Tensor, "S N T 3"]:
-    """What rows may see of scenes: the first `WINDOW` states."""
-    return scenes.state[:, :, :WINDOW]
+    """What rows may see of scenes: their first `shown` states."""
+    return scenes.state[:, :, : scenes.shown]
 
 
 def ask(infer: Infer, scenes: KnownScenes) -> Answer:
     """The answer of a row to scenes.
 
     Raises:
-        InputError: scenes with states that are not finite, or shorter than the window. No row may answer "none" there.
+        InputError: scenes with states that are not finite, or shorter than `shown`. No row may answer "none" there.
         ValueError: an answer that is not finite, or probabilities below 0 or above 1.
     """
-    if scenes.state.shape[2] < WINDOW:
-        raise InputError(f"got scenes of {scenes.state.shape[2]} states, wanted {WINDOW} or more; give longer ones")
+    if scenes.state.shape[2] < scenes.shown:
+        got = scenes.state.shape[2]
+        raise InputError(f"got scenes of {got} states, wanted {scenes.shown} or more; give longer ones")
     if missing := int((~torch.isfinite(observed(scenes))).any(-1).any(-1).any(-1).sum()):
         raise InputError(f"got {missing} scenes with states that are not finite; leave them out")
     given = infer(scenes)

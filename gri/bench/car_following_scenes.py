@@ -20,6 +20,7 @@ from gri.core.scenes import Scenes
 
 DT = 0.2  # [s] between two states of a scene
 LENGTH = 5.0  # [m] of every vehicle
+WINDOW = 31  # states of 6 s that rows may see
 OWN, UNSEEN = -1, -2
 SUBSTEPS = 2  # simulation steps per step of the scene
 
@@ -62,6 +63,8 @@ class KnownScenes:
     """The vehicle that each vehicle reacts to; `OWN` or `UNSEEN` where it is none of the scene."""
     acceptance: float
     """Share of the drawn scenes without a collision or overlap; the others were thrown away."""
+    shown: int = WINDOW
+    """How many of the first states rows may see."""
 
     def __len__(self) -> int:
         return len(self.state)

@@ -17,8 +17,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from gri.bench.answers import WINDOW, Infer
-from gri.bench.car_following_scenes import DT, KnownScenes
+from gri.bench.answers import Infer
+from gri.bench.car_following_scenes import DT, WINDOW, KnownScenes
 from gri.bench.pair_classifier import CHANNELS, pair_features
 from gri.bench.reward_rows import encoder_answers, new_model, training_scenes
 from gri.bench.structure import FLAT

@@ -83,15 +83,15 @@ def run(plan: Plan, progress: Progress = no_progress) -> pd.DataFrame:
         progress("relations", done, len(jobs), 0.0)
         path = plan.file(row, seed)
         if not path.is_file():
-            _write(path, json.dumps(_result(plan, row, seed), indent=1))
+            write(path, json.dumps(_result(plan, row, seed), indent=1))
     progress("relations", len(jobs), len(jobs), 0.0)
     table = _table(plan, jobs)
-    _write(plan.out / "relations.csv", table.to_csv(index=False, float_format="%.4f"))
-    _write(plan.out / "relations.md", markdown(table, plan))
+    write(plan.out / "relations.csv", table.to_csv(index=False, float_format="%.4f"))
+    write(plan.out / "relations.md", markdown(table, plan))
     curves = _curves(plan, jobs)
-    _write(plan.out / "relations_reliability.svg", draw_reliability(curves))
-    _write(plan.out / "relations_abstention.svg", draw_abstention(curves))
-    _write(plan.out / "relations.json", json.dumps(card(plan), indent=1))
+    write(plan.out / "relations_reliability.svg", draw_reliability(curves))
+    write(plan.out / "relations_abstention.svg", draw_abstention(curves))
+    write(plan.out / "relations.json", json.dumps(card(plan), indent=1))
     return table
 
 
@@ -287,8 +287,8 @@ def card(plan: Plan) -> dict[str, Any]:
     }
 
 
-def _write(path: Path, text: str) -> None:
-    """The file appears whole or not at all."""
+def write(path: Path, text: str) -> None:
+    """Write a file that appears whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f"{path.name}.{os.getpid()}.part")
     try:

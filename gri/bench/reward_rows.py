@@ -12,8 +12,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from gri.bench.answers import WINDOW, Infer
-from gri.bench.car_following_scenes import DT, KnownScenes, accelerations
+from gri.bench.answers import Infer
+from gri.bench.car_following_scenes import DT, WINDOW, KnownScenes, accelerations
 from gri.bench.structure import FLAT, share_among_those_ahead
 from gri.core.edges import EdgeType, pairs
 from gri.core.scale import Scale

@@ -8,12 +8,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from gri import checkpoint
-from gri.bench.answers import WINDOW, Infer, observed
-from gri.bench.car_following_scenes import DT, LENGTH, KnownScenes, accelerations
+from gri.bench.answers import Infer, Score, observed
+from gri.bench.car_following_scenes import DT, LENGTH, WINDOW, KnownScenes, accelerations
 from gri.bench.pair_classifier import train_classifier
 from gri.bench.pcmci_row import pcmci
 from gri.bench.reconstruction_rows import nri, per_step
@@ -62,7 +62,7 @@ def _prior(scenes: KnownScenes) -> Float[Tensor, "S E"]:
     return row.repeat(len(scenes), 1)
 
 
-def _lagged_correlation(scenes: KnownScenes) -> Float[Tensor, "S E"]:
+def lagged_correlation(scenes: KnownScenes) -> Float[Tensor, "S E"]:
     """Greatest correlation of the sender's acceleration with the receiver's up to 2 s later."""
     a = accelerations(observed(scenes)[..., 1])
     found = []
@@ -77,7 +77,7 @@ def _lagged_correlation(scenes: KnownScenes) -> Float[Tensor, "S E"]:
     return torch.stack(found, 1)
 
 
-def _granger(scenes: KnownScenes) -> Float[Tensor, "S E"]:
+def granger(scenes: KnownScenes) -> Float[Tensor, "S E"]:
     """log F of a Granger test: do four past accelerations of the sender add to four of the receiver's own?"""
     a, order = accelerations(observed(scenes)[..., 1]), 4
     found = []
@@ -97,17 +97,17 @@ def _residual(y: Float[Tensor, "S T"], design: Float[Tensor, "S T P"]) -> Float[
     return (y - fitted[..., 0]).square().sum(-1)
 
 
-def _with_threshold(
-    score: Callable[[KnownScenes], Tensor],
-) -> Callable[[Sequence[KnownScenes], Sequence[KnownScenes], int], Infer]:
+def _from_ahead(scenes: KnownScenes) -> Bool[Tensor, " E"]:
+    return torch.tensor([i > j for i, j in pairs(scenes.state.shape[1])])
+
+
+def with_threshold(score: Score) -> Callable[[Sequence[KnownScenes], Sequence[KnownScenes], int], Infer]:
     """Turn a score into a probability by logistic regression on the validation scenes, for pairs from ahead only."""
 
     def prepare(train: Sequence[KnownScenes], validation: Sequence[KnownScenes], seed: int) -> Infer:
         del train, seed
-        n = validation[0].state.shape[1]
-        ahead = torch.tensor([i > j for i, j in pairs(n)])
-        x = torch.cat([score(known)[:, ahead].flatten() for known in validation])
-        y = torch.cat([known.graph()[:, ahead].flatten() for known in validation]).double()
+        x = torch.cat([score(known)[:, _from_ahead(known)].flatten() for known in validation])
+        y = torch.cat([known.graph()[:, _from_ahead(known)].flatten() for known in validation]).double()
         weight = torch.where(y > 0, 0.5 / y.mean(), 0.5 / (1 - y.mean()))
         w = torch.zeros(2, dtype=torch.float64)
         centre, unit = x.mean(), x.std()
@@ -117,12 +117,12 @@ def _with_threshold(
             slope = design.mT @ (weight * (y - p)) - 1e-3 * w
             curvature = design.mT @ (design * (weight * p * (1 - p))[:, None]) + 1e-3 * torch.eye(2, dtype=w.dtype)
             w = w + torch.linalg.solve(curvature, slope)
-        return lambda known: ((score(known) - centre) / unit * w[0] + w[1]).sigmoid() * ahead
+        return lambda known: ((score(known) - centre) / unit * w[0] + w[1]).sigmoid() * _from_ahead(known)
 
     return prepare
 
 
-def _closed_form(train: Sequence[KnownScenes], validation: Sequence[KnownScenes], seed: int) -> Infer:
+def closed_form(train: Sequence[KnownScenes], validation: Sequence[KnownScenes], seed: int) -> Infer:
     """Weights of the explanations from the training scenes of all drivers together, without their relations."""
     del validation
     states = torch.cat([observed(known)[:150] for known in train])
@@ -189,7 +189,7 @@ PER_STEP = Row(
 PCMCI = Row(
     "PCMCI",
     "labels (threshold); senders ahead",
-    lambda train, validation, seed: _with_threshold(pcmci)(train, [known[:40] for known in validation], seed),
+    lambda train, validation, seed: with_threshold(pcmci)(train, [known[:40] for known in validation], seed),
     needs="tigramite",
     most=60,
 )
@@ -200,8 +200,8 @@ ROWS: tuple[Row, ...] = (
     Row("everybody follows the next", "nothing", lambda *_: _next_ahead),
     Row("prior alone", "nothing", lambda *_: _prior),
     Row("untrained encoder", "nothing", _untrained, varies=True),
-    Row("lagged correlation", "labels (threshold)", _with_threshold(_lagged_correlation)),
-    Row("Granger test", "labels (threshold)", _with_threshold(_granger)),
+    Row("lagged correlation", "labels (threshold)", with_threshold(lagged_correlation)),
+    Row("Granger test", "labels (threshold)", with_threshold(granger)),
     Row(
         "geometry of the last frame",
         "labels",
@@ -228,7 +228,7 @@ ROWS: tuple[Row, ...] = (
     _with_prior(US101),
     _released("ngsim_car_following"),
     Row("released: sumo_car_following", "labels (SUMO's)", _released("sumo_car_following").prepare),
-    Row("closed form", "no labels; prior: one of those ahead, weights learned", _closed_form, varies=True),
+    Row("closed form", "no labels; prior: one of those ahead, weights learned", closed_form, varies=True),
     Row(
         "labelled classifier (ceiling)",
         "labels",

@@ -22,21 +22,31 @@ def relations(
     seeds: Annotated[int, typer.Option(min=1, max=100, help="Seeds of the rows that depend on one.")] = 5,
     scenes: Annotated[int, typer.Option(min=20, max=10_000, help="Scenes in each test set.")] = 300,
     row: Annotated[list[str] | None, typer.Option(help="Score only this row; repeatable.")] = None,
+    recordings: Annotated[
+        list[Path] | None,
+        typer.Option(help="NGSIM file: score recorded traffic instead of simulated drivers; repeatable."),
+    ] = None,
 ) -> None:
     """Score relations on scenes whose true graph is known.
 
     Simulated drivers of six models, and controls in which nobody can react to
-    anybody. The same command continues where it was stopped.
+    anybody. With --recordings: recorded car following, and controls made of
+    it. The same command continues where it was stopped.
     """
     one_thread()
+    from gri.bench.recorded_relations import RecordedPlan, run_recorded
     from gri.bench.relations import Plan, run
 
     try:
         with ProgressDisplay() as progress:
-            run(Plan(out, seeds, scenes, tuple(row or ())), progress)
+            if recordings:
+                run_recorded(RecordedPlan(out, tuple(recordings), seeds, tuple(row or ()), lanes=not row), progress)
+            else:
+                run(Plan(out, seeds, scenes, tuple(row or ())), progress)
     except KeyboardInterrupt:
         notice("stopped; finished rows are kept, the same command continues")
         raise typer.Exit(130) from None
-    for name in ("relations.md", "relations.csv", "relations.json"):
+    written = ("recorded.md", "recorded.csv") if recordings else ("relations.md", "relations.csv", "relations.json")
+    for name in written:
         say(str(out / name))
     next_command("gri evaluate CHECKPOINT --scene-file FILE")

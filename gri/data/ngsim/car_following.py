@@ -4,6 +4,7 @@ No other vehicle is between them. The hypothesised graph is the chain of the syn
 """
 
 from collections import Counter
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -11,35 +12,39 @@ from gri.data.ngsim.rules import CandidateScenes, Rules, leader_rows, splits_of
 from gri.data.ngsim.smoothing import Motion
 
 
-def car_following_triples(motion: Motion, rules: Rules, counts: Counter[str]) -> np.ndarray:
-    """Rows [S, 3, T] of `motion` for all triples that obey the rules, ordered by follower and time.
+def car_following_triples(motion: Motion, rules: Rules, counts: Counter[str], vehicles: int = 3) -> np.ndarray:
+    """Rows [S, N, T] of `motion` for all triples that obey the rules, ordered by follower and time.
 
-    T is `rules.following_steps`. `counts` gains the number of rejected candidates for each reason.
+    N is `vehicles`: other numbers than 3 give pairs or longer rows of vehicles. T is `rules.following_steps`. `counts`
+    gains the number of rejected candidates for each reason.
     """
-    leader = leader_rows(motion)
-    second_leader = np.where(leader >= 0, leader[leader], -1)
-    starts, lengths = _constant_triples(motion, leader, second_leader)
+    ahead = [leader_rows(motion)]
+    while len(ahead) < vehicles - 1:
+        ahead.append(np.where(ahead[-1] >= 0, ahead[0][ahead[-1]], -1))
+    starts, lengths = _constant_groups(motion, ahead)
     counts["together for less than T steps"] += int((lengths < rules.following_steps).sum())
     begin = np.concatenate(
         [_window_starts(motion, s, n, rules) for s, n in zip(starts.tolist(), lengths.tolist(), strict=True)]
         or [starts]
     )
     follower = begin.astype(int)[:, None] + np.arange(rules.following_steps)
-    candidates = CandidateScenes(motion, np.stack([follower, leader[follower], second_leader[follower]], 1), counts)
+    candidates = CandidateScenes(motion, np.stack([follower, *(row[follower] for row in ahead)], 1), counts)
     spacing = np.diff(candidates.column("x"), axis=1)
     candidates.reject("too far apart", (spacing >= rules.spacing).any((1, 2)))
     gap = np.diff(candidates.column("x"), axis=1) - candidates.column("length")[:, 1:]
     candidates.reject("vehicles overlap", (gap <= 0).any((1, 2)))
-    candidates.reject_implausible(rules, slice(0, 3))
+    candidates.reject_implausible(rules, slice(0, vehicles))
     candidates.reject_mixed_splits(rules)
     return candidates.rows
 
 
-def _constant_triples(motion: Motion, leader: np.ndarray, second_leader: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Starts and lengths of the runs of rows in which a vehicle keeps its lane and both vehicles ahead."""
-    complete = second_leader >= 0
-    ahead = (np.where(complete, motion.track[row], -1) for row in (leader, second_leader))
-    keys = np.stack([motion.track, motion.lane, *ahead], 1)
+def _constant_groups(motion: Motion, ahead: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Starts and lengths of the runs of rows in which a vehicle keeps its lane and all vehicles ahead.
+
+    `ahead` has the rows [R] of the first vehicle ahead, of the second one, and so on; −1 where there is none.
+    """
+    complete = ahead[-1] >= 0
+    keys = np.stack([motion.track, motion.lane, *(np.where(complete, motion.track[row], -1) for row in ahead)], 1)
     starts = np.flatnonzero(np.r_[True, (np.diff(keys, axis=0) != 0).any(1)] if len(keys) else [])
     lengths = np.diff(np.r_[starts, len(keys)])
     return starts[complete[starts]], lengths[complete[starts]]

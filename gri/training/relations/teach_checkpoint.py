@@ -28,7 +28,6 @@ def teach_model(
     settings: TeachingSettings,
     seed: int,
     recorded: Reactions | None = None,
-    encoder: PairEncoderConfig = PairEncoderConfig(),
     progress: Progress = no_progress,
 ) -> tuple[RelationalModel, Mapping[str, Any]]:
     """The model with a taught encoder, and how it was taught, for the provenance.
@@ -45,7 +44,7 @@ def teach_model(
         raise InputError(f"got a model with edge types {kinds}, wanted none and follow; teach a car-following model")
     started = time.process_time()
     torch.manual_seed(seed)
-    config = msgspec.structs.replace(model.config, encoder=None, pair_encoder=encoder)
+    config = msgspec.structs.replace(model.config, encoder=None, pair_encoder=PairEncoderConfig())
     taught = RelationalModel(config)
     taught.decoder.load_state_dict(model.decoder.state_dict())
     assert isinstance(taught.encoder, PairEncoder)
