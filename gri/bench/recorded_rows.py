@@ -12,7 +12,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from gri.bench.answers import Infer, observed
+from gri.bench.answers import Infer, Score, observed
 from gri.bench.car_following_scenes import KnownScenes
 from gri.bench.driver_models import DRIVER_MODELS
 from gri.bench.families import NEAR, WIDE, split
