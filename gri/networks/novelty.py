@@ -16,7 +16,11 @@ EXCEEDING = 0.01  # share of validation scenes above the threshold
 
 
 class Novelty(nn.Module):
-    """Distances to M vehicles of the training scenes."""
+    """Distances to M vehicles of the training scenes.
+
+    The facts have floors (accelerations .1 m/s², jerks .5 m/s³, slips .1 m), below which differences are those of
+    integrators and not of worlds.
+    """
 
     reference: Tensor
     centre: Tensor
@@ -34,7 +38,8 @@ class Novelty(nn.Module):
 
     @torch.no_grad()
     def fit(self, state: Float[Tensor, "S N T D"], generator: torch.Generator) -> None:
-        """Take the reference from the first three quarters of the scenes and the threshold from the others."""
+        """Take the reference from three quarters of the scenes, drawn at random, and the threshold from the others."""
+        state = state[torch.randperm(len(state), generator=generator)]
         facts = self._facts(state)
         split = max(1, 3 * len(facts) // 4)
         known = facts[:split].flatten(0, 1)
@@ -70,9 +75,9 @@ class Novelty(nn.Module):
             gap.mean(-1).log(),
             (v[:, 1:] - v[:, :-1]).mean(-1) / 2,
             gap[..., -1].log() - gap[..., 0].log(),
-            size(a[:, :-1], 0.03),
-            size(a[:, 1:], 0.03),
-            size(jerk[:, :-1], 0.1),
-            size(slip[:, :-1], 0.01),
+            size(a[:, :-1], 0.1),
+            size(a[:, 1:], 0.1),
+            size(jerk[:, :-1], 0.5),
+            size(slip[:, :-1], 0.1),
         ]
         return torch.stack(facts, -1)

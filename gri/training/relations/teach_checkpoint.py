@@ -13,13 +13,16 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from gri.core.graph import FOLLOWING
+from gri.core.graph import FOLLOWING, pairs
 from gri.errors import InputError
 from gri.networks.model import RelationalModel
-from gri.networks.pair_encoder import PairEncoder, PairEncoderConfig
+from gri.networks.pair_encoder import LENGTH, PairEncoder, PairEncoderConfig
+from gri.networks.rollout import rollout
 from gri.progress import Progress, no_progress
-from gri.relations.reaction_scenes import Reactions
-from gri.training.relations.teach_encoder import TeachingSettings, teach_encoder
+from gri.relations.reaction_scenes import OWN, UNSEEN, Reactions, draw_reactions
+from gri.training.relations.teach_encoder import TeachingSettings, broken_batch, teach_encoder, teach_policys_reactions
+
+NOVELTY_SCENES = 8000  # drawn scenes that the score of novelty is fitted to, besides a quarter of it from the policy
 
 
 def teach_model(
@@ -33,7 +36,7 @@ def teach_model(
     """The model with a taught encoder, and how it was taught, for the provenance.
 
     Args:
-        known: histories of the scenes that the model was trained on.
+        known: histories of the scenes that the model was trained on, of three vehicles.
         recorded: windows of recorded traffic and of strangers, for contrastive teaching besides the drawn scenes.
 
     Raises:
@@ -48,9 +51,10 @@ def teach_model(
     taught = RelationalModel(config)
     taught.decoder.load_state_dict(model.decoder.state_dict())
     assert isinstance(taught.encoder, PairEncoder)
-    assert taught.novelty is not None
     teach_encoder(taught.encoder, settings, seed, recorded, progress)
-    taught.novelty.fit(known, torch.Generator().manual_seed(seed))
+    driven = policy_rollouts(taught, known, torch.Generator().manual_seed(seed))
+    teach_policys_reactions(taught.encoder, driven, settings, seed + 1, recorded, progress)
+    fit_novelty(taught, known, settings, seed)
     made = {
         "settings": msgspec.to_builtins(settings),
         "seed": seed,
@@ -58,3 +62,38 @@ def teach_model(
         "cpu_seconds": round(time.process_time() - started),
     }
     return taught.requires_grad_(False).eval(), made
+
+
+ROLLOUTS = 12_000
+
+
+def policy_rollouts(model: RelationalModel, known: Float[Tensor, "S 3 T D"], generator: torch.Generator) -> Reactions:
+    """The policy's roll-outs from the first states of known scenes under random graphs, less those with a contact.
+
+    The foremost vehicle moves as in the scene. Each other vehicle follows one of those ahead, or none, with equal odds.
+    """
+    rows = torch.randint(len(known), (ROLLOUTS,), generator=generator)
+    draws = torch.rand((2, ROLLOUTS), generator=generator)
+    first, second = (draws[0] * 3).long(), (draws[1] * 2).long()  # 0 follows none, 1 or 2; 1 follows none or 2
+    leader = torch.stack([torch.tensor([OWN, 1, 2])[first], torch.tensor([OWN, 2])[second]], 1)
+    leader = torch.cat([leader, torch.full((ROLLOUTS, 1), UNSEEN)], 1)
+    types = torch.stack([(leader[:, j] == i).long() for i, j in pairs(3)], 1)
+    graph = torch.nn.functional.one_hot(types, 2).float()
+    with torch.no_grad():
+        state = rollout(model, known[rows, :, 0], graph, known[rows, -1]).state
+    x, v = state[..., 0], state[..., model.dynamics.speed]
+    apart = (x[:, 1:] - x[:, :-1] > LENGTH + 0.3).all(-1).all(-1)
+    return Reactions(x[apart], v[apart], leader[apart])
+
+
+def fit_novelty(model: RelationalModel, known: Float[Tensor, "S 3 T D"], settings: TeachingSettings, seed: int) -> None:
+    """Scenes are known that are like those that the encoder was taught with, or like those of the policy; in place."""
+    assert model.novelty is not None
+    generator, steps = torch.Generator().manual_seed(seed), model.history_steps
+    pool = draw_reactions(settings.prior, 2 * NOVELTY_SCENES, settings.steps, model.dt, generator)
+    windows = msgspec.structs.replace(settings, window=(steps, steps), vehicles=(3, 3), batch=NOVELTY_SCENES)
+    drawn = broken_batch(pool, windows, generator)
+    taught = torch.zeros(*drawn.x.shape, known.shape[-1])
+    taught[..., 0], taught[..., model.novelty.speed] = drawn.x, drawn.v
+    rows = torch.randint(len(known), (NOVELTY_SCENES // 4,), generator=generator)
+    model.novelty.fit(torch.cat([taught, known[rows]]), generator)

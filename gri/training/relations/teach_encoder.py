@@ -39,8 +39,11 @@ class TeachingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     recorded_weight: float = 1.0
     """Weight of recorded windows, where there are any."""
     updates: int = 12_000
+    policy_updates: int = 2500
+    """Updates after these, in which roll-outs of the policy under random graphs are shown besides."""
     batch: int = 192
     rate: float = 3e-3
+    policy_rate: float = 1e-3
 
 
 def teach_encoder(
@@ -59,14 +62,48 @@ def teach_encoder(
     pool = draw_pool(settings, encoder.dt, generator, progress)
     descent = Descent(encoder.parameters(), settings.rate, settings.updates, clip=1.0)
     for update in range(settings.updates):
-        loss = explanation_loss(encoder, broken_batch(pool, settings, generator))
-        if recorded is not None:
-            rows = torch.randint(len(recorded), (settings.batch,), generator=generator)
-            shown = int(torch.randint(2, recorded.x.shape[1] + 1, (1,), generator=generator))
-            windows = hide_vehicles(recorded[rows], shown, generator)
-            loss = loss + settings.recorded_weight * explanation_loss(encoder, windows, merge_nulls=True)
+        loss = _loss(encoder, pool, recorded, settings, generator)
         descent.step(loss)
         progress("relations", update + 1, settings.updates, float(loss.detach()))
+
+
+def teach_policys_reactions(
+    encoder: PairEncoder,
+    driven: Reactions,
+    settings: TeachingSettings,
+    seed: int,
+    recorded: Reactions | None = None,
+    progress: Progress = no_progress,
+) -> None:
+    """Train the encoder further, in place, with roll-outs `driven` of the policy under drawn graphs besides.
+
+    So it knows how the vehicles react that the model itself drives.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    pool = draw_pool(settings, encoder.dt, generator, progress)
+    descent = Descent(encoder.parameters(), settings.policy_rate, settings.policy_updates, clip=1.0)
+    for update in range(settings.policy_updates):
+        loss = _loss(encoder, pool, recorded, settings, generator)
+        rows = torch.randint(len(driven), (settings.batch,), generator=generator)
+        loss = loss + explanation_loss(encoder, with_noise(driven[rows], settings, generator))
+        descent.step(loss)
+        progress("policy's reactions", update + 1, settings.policy_updates, float(loss.detach()))
+
+
+def _loss(
+    encoder: PairEncoder,
+    pool: Reactions,
+    recorded: Reactions | None,
+    settings: TeachingSettings,
+    generator: torch.Generator,
+) -> Float[Tensor, ""]:
+    loss = explanation_loss(encoder, broken_batch(pool, settings, generator))
+    if recorded is None:
+        return loss
+    rows = torch.randint(len(recorded), (settings.batch,), generator=generator)
+    shown = int(torch.randint(2, recorded.x.shape[1] + 1, (1,), generator=generator))
+    windows = hide_vehicles(recorded[rows], shown, generator)
+    return loss + settings.recorded_weight * explanation_loss(encoder, windows, merge_nulls=True)
 
 
 def draw_pool(
@@ -110,7 +147,11 @@ def broken_batch(pool: Reactions, settings: TeachingSettings, generator: torch.G
     window = slice(first, first + steps)
     scenes = Reactions(pool.x[rows, :, window], pool.v[rows, :, window], pool.leader[rows])
     scenes = hide_vehicles(scenes, between(settings.vehicles), generator)
-    scenes = with_strangers(scenes, settings.strangers, generator)
+    return with_noise(with_strangers(scenes, settings.strangers, generator), settings, generator)
+
+
+def with_noise(scenes: Reactions, settings: TeachingSettings, generator: torch.Generator) -> Reactions:
+    """Positions and speeds as they would be measured."""
     low, high = torch.tensor(settings.measurement_noise).log().tolist()
     one_each = (len(scenes), 1, 1)
     sd = (low + (high - low) * torch.rand(one_each, generator=generator)).exp()
