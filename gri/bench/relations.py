@@ -5,25 +5,22 @@ of one version write the same bytes.
 """
 
 import json
-import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from functools import cache
-from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 import torch
 
 from gri.bench.car_following_scenes import DT
 from gri.bench.driver_models import DRIVER_MODELS
 from gri.bench.families import NEAR, WIDE, KnownScenes, TestSet, split, test_sets
+from gri.bench.resumable_jobs import chosen_jobs, finish, job_file, pivot, write_whole
 from gri.bench.rows import ROWS, UPDATES, WINDOW, Row
 from gri.bench.scores import SCORES, score
 from gri.core.edges import pairs
-from gri.errors import InputError
 from gri.progress import Progress, no_progress
 
 VERSION = 1  # of the scenes and rows; another one makes all jobs again
@@ -45,17 +42,12 @@ class Plan:
 
     def jobs(self) -> Iterator[tuple[Row, int]]:
         """Rows and seeds; rows that do not depend on the seed are done once."""
-        known = [row.name for row in ROWS]
-        if unknown := [name for name in self.rows if name not in known]:
-            raise InputError(f"--row: got {unknown[0]!r}, wanted one of: {'; '.join(known)}")
-        for row in ROWS:
-            if not self.rows or row.name in self.rows:
-                yield from ((row, seed) for seed in range(self.seeds if row.varies else 1))
+        yield from chosen_jobs(ROWS, self.rows, self.seeds)
 
     def file(self, row: Row, seed: int) -> Path:
         """Where the result of a job is kept; the name changes with whatever changes the result."""
         facts = (VERSION, row.name, row.given, seed, self.scenes, self.training, self.validation, UPDATES, WINDOW)
-        return self.out / "jobs" / f"{sha256(repr(facts).encode()).hexdigest()[:16]}.json"
+        return job_file(self.out, facts)
 
 
 def run(plan: Plan, progress: Progress = no_progress) -> pd.DataFrame:
@@ -66,16 +58,10 @@ def run(plan: Plan, progress: Progress = no_progress) -> pd.DataFrame:
     """
     torch.set_num_threads(1)
     jobs = list(plan.jobs())
-    for done, (row, seed) in enumerate(jobs):
-        progress("relations", done, len(jobs), 0.0)
-        path = plan.file(row, seed)
-        if not path.is_file():
-            _write(path, json.dumps(_result(plan, row, seed), indent=1))
-    progress("relations", len(jobs), len(jobs), 0.0)
-    table = _table(plan, jobs)
-    _write(plan.out / "relations.csv", table.to_csv(index=False, float_format="%.4f"))
-    _write(plan.out / "relations.md", markdown(table, plan))
-    _write(plan.out / "relations.json", json.dumps(card(plan), indent=1))
+    table = finish(jobs, plan.file, lambda row, seed: _result(plan, row, seed), "relations", progress)
+    write_whole(plan.out / "relations.csv", table.to_csv(index=False, float_format="%.4f"))
+    write_whole(plan.out / "relations.md", markdown(table, plan))
+    write_whole(plan.out / "relations.json", json.dumps(card(plan), indent=1))
     return table
 
 
@@ -104,21 +90,6 @@ def _result(plan: Plan, row: Row, seed: int) -> list[dict[str, Any]]:
     return found
 
 
-def _table(plan: Plan, jobs: Sequence[tuple[Row, int]]) -> pd.DataFrame:
-    rows = []
-    for row, seed in jobs:
-        for part in json.loads(plan.file(row, seed).read_text()):
-            for name, value in part["scores"].items():
-                rows.append((row.name, row.given, part["set"], part["kind"], name, seed, *value.values()))
-    columns = ["row", "given", "set", "kind", "score", "seed", "value", "low", "high"]
-    long = pd.DataFrame(rows, columns=columns)
-    keys = ["row", "given", "set", "kind", "score"]
-    grouped = long.groupby(keys, sort=False)
-    return grouped.agg(
-        value=("value", "mean"), low=("low", "min"), high=("high", "max"), seeds=("seed", "size")
-    ).reset_index()
-
-
 def markdown(table: pd.DataFrame, plan: Plan) -> str:
     """The page that people read: a summary, balanced accuracy per driver model, false follow per control."""
     accuracy = table[(table["kind"] == "drivers") & (table["score"] == "balanced_accuracy")]
@@ -135,30 +106,13 @@ def markdown(table: pd.DataFrame, plan: Plan) -> str:
     ]
     for family in (NEAR, WIDE):
         least, most = family.headway
-        parts += [f"First headways of {least:g} to {most:g} m:", _pivot(accuracy, f", {family.name}")]
+        parts += [f"First headways of {least:g} to {most:g} m:", pivot(accuracy, f", {family.name}")]
     parts += [
         "## False follow in controls [%]",
         'No vehicle reacts to another one of the scene, so every "follow" is wrong.',
-        _pivot(false, ""),
+        pivot(false),
     ]
     return "\n\n".join(parts) + "\n"
-
-
-def _percent(value: float, low: float, high: float) -> str:
-    return "–" if np.isnan(value) else f"{100 * value:.0f} ({100 * low:.0f}–{100 * high:.0f})"
-
-
-def _pivot(part: pd.DataFrame, suffix: str) -> str:
-    """A line per row of the benchmark, a column per test set whose name ends with the suffix."""
-    sets = [name for name in dict.fromkeys(part["set"]) if name.endswith(suffix)]
-    cells = {
-        (line["row"], line["set"]): _percent(line["value"], line["low"], line["high"])
-        for line in part.to_dict("records")
-    }
-    heads = [name.removesuffix(suffix) for name in sets]
-    lines = [f"| row | {' | '.join(heads)} |", "|---" * (len(heads) + 1) + "|"]
-    rows = dict.fromkeys(part["row"])
-    return "\n".join([*lines, *(f"| {row} | {' | '.join(cells[row, name] for name in sets)} |" for row in rows)])
 
 
 def _summary(table: pd.DataFrame) -> str:
@@ -205,14 +159,3 @@ def card(plan: Plan) -> dict[str, Any]:
         "driver_models": {model.name: {"source": model.source, **model.ranges} for model in DRIVER_MODELS},
         "sets": sets,
     }
-
-
-def _write(path: Path, text: str) -> None:
-    """The file appears whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f"{path.name}.{os.getpid()}.part")
-    try:
-        partial.write_text(text)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)

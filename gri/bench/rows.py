@@ -5,13 +5,13 @@ labels"), or relations of other scenes ("labels").
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from gri import checkpoint
+from gri.bench import resumable_jobs
 from gri.bench.car_following_scenes import DT, LENGTH, KnownScenes, accelerations
 from gri.bench.pair_classifier import train_classifier
 from gri.core.edges import EdgeType, pairs
@@ -24,17 +24,7 @@ WINDOW = 31  # frames of 6 s that every row may see
 Infer = Callable[[KnownScenes], Float[Tensor, "S E"]]
 
 
-@dataclass(frozen=True)
-class Row:
-    """A way to infer relations."""
-
-    name: str
-    given: str
-    """"nothing", "no labels" or "labels"."""
-    prepare: Callable[[Sequence[KnownScenes], Sequence[KnownScenes], int], Infer]
-    """(training scenes, validation scenes, seed) → how to infer."""
-    varies: bool = False
-    """Whether the seed changes the answer."""
+Row = resumable_jobs.Row[KnownScenes]
 
 
 def observed(scenes: KnownScenes) -> Float[Tensor, "S N T 3"]:
