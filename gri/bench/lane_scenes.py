@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
+from torch.nn.functional import max_pool1d, pad
 
 from gri.core.edges import LANE_CHANGING, EdgeType, pairs
 
@@ -132,8 +133,9 @@ def close_gaps(types: Int[Tensor, "S T E"], steps: int) -> Int[Tensor, "S T E"]:
     found = types
     for kind in range(1, len(LANE_CHANGING)):
         is_kind = (types == kind).transpose(1, 2).float()
-        wide = torch.nn.functional.max_pool1d(is_kind, 2 * reach + 1, stride=1, padding=reach)
-        closed = -torch.nn.functional.max_pool1d(-wide, 2 * reach + 1, stride=1, padding=reach)
+        wide = max_pool1d(is_kind, 2 * reach + 1, stride=1, padding=reach)
+        wide = pad(wide, (reach, reach))  # beyond the ends nothing holds
+        closed = -max_pool1d(-wide, 2 * reach + 1, stride=1)
         found = torch.where((found == NONE) & (closed.transpose(1, 2) > 0), kind, found)
     return found
 
