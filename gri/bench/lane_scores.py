@@ -4,6 +4,7 @@ All scores are sums over scenes of counts, so that the bootstrap draws scenes an
 """
 
 from collections.abc import Callable, Mapping
+from functools import cache
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -75,15 +76,20 @@ def with_interval(
     """A score of the sum of the scenes' counts, with a percentile bootstrap over scenes; NaN where nothing counts."""
     if not counts.sum():
         return Score(float("nan"), float("nan"), float("nan"))
-    rng = np.random.default_rng(seed)
-    weight = rng.multinomial(len(counts), np.full(len(counts), 1 / len(counts)), size=RESAMPLES)
     with np.errstate(invalid="ignore", divide="ignore"):
-        values = function(weight @ counts)
+        values = function(_resamples(len(counts), seed) @ counts)
     value = float(function(counts.sum(0, keepdims=True))[0])
     if np.isnan(values).all():
         return Score(value, float("nan"), float("nan"))
     low, high = np.nanquantile(values, (0.025, 0.975))
     return Score(value, float(low), float(high))
+
+
+@cache
+def _resamples(scenes: int, seed: int) -> Float[np.ndarray, "R S"]:
+    """How often each scene is drawn in each bootstrap sample."""
+    rng = np.random.default_rng(seed)
+    return rng.multinomial(scenes, np.full(scenes, 1 / scenes), size=RESAMPLES).astype(float)
 
 
 def scores_of(

@@ -120,6 +120,7 @@ def draw_lane_scenes(family: LaneFamily, model: DriverModel, counts: Mapping[str
     `counts` says how many scenes of each of the `KINDS` there are to be.
     """
     generator = torch.Generator().manual_seed(seed)
+    counts = {name: count for name, count in counts.items() if count}
     kept: dict[str, list[LaneScenes]] = {name: [] for name in counts}
     drawn, fit = Counter[str](), Counter[str]()
     while missing := {name: wanted - fit[name] for name, wanted in counts.items() if fit[name] < wanted}:
