@@ -1,4 +1,4 @@
-"""The command `gri bench relations`: does a model see who reacts to whom?"""
+"""The commands `gri bench relations` and `gri bench lanes`: does a model see who reacts to whom?"""
 
 from pathlib import Path
 from typing import Annotated
@@ -48,5 +48,32 @@ def relations(
         raise typer.Exit(130) from None
     written = ("recorded.md", "recorded.csv") if recordings else ("relations.md", "relations.csv", "relations.json")
     for name in written:
+        say(str(out / name))
+    next_command("gri evaluate CHECKPOINT --scene-file FILE")
+
+
+@app.command()
+def lanes(
+    out: Annotated[Path, typer.Option(help="Folder of tables and finished rows.")] = Path("runs/bench/lanes"),
+    seeds: Annotated[int, typer.Option(min=1, max=100, help="Seeds of the rows that depend on one.")] = 3,
+    scenes: Annotated[int, typer.Option(min=40, max=10_000, help="Scenes in each test set.")] = 200,
+    row: Annotated[list[str] | None, typer.Option(help="Score only this row; repeatable.")] = None,
+) -> None:
+    """Score relations of merges whose true relations are known at every step.
+
+    Merges, refused merges, lane changes that concern nobody and lane keepers
+    beside a gap, by simulated drivers of six models. The same command continues
+    where it was stopped.
+    """
+    one_thread()
+    from gri.bench.lanes import LanePlan, run_lanes
+
+    try:
+        with ProgressDisplay() as progress:
+            run_lanes(LanePlan(out, seeds, scenes, tuple(row or ())), progress)
+    except KeyboardInterrupt:
+        notice("stopped; finished rows are kept, the same command continues")
+        raise typer.Exit(130) from None
+    for name in ("lanes.md", "lanes.csv", "lanes.json"):
         say(str(out / name))
     next_command("gri evaluate CHECKPOINT --scene-file FILE")
