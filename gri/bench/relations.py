@@ -70,12 +70,12 @@ def run(plan: Plan, progress: Progress = no_progress) -> pd.DataFrame:
         progress("relations", done, len(jobs), 0.0)
         path = plan.file(row, seed)
         if not path.is_file():
-            _write(path, json.dumps(_result(plan, row, seed), indent=1))
+            write(path, json.dumps(_result(plan, row, seed), indent=1))
     progress("relations", len(jobs), len(jobs), 0.0)
     table = _table(plan, jobs)
-    _write(plan.out / "relations.csv", table.to_csv(index=False, float_format="%.4f"))
-    _write(plan.out / "relations.md", markdown(table, plan))
-    _write(plan.out / "relations.json", json.dumps(card(plan), indent=1))
+    write(plan.out / "relations.csv", table.to_csv(index=False, float_format="%.4f"))
+    write(plan.out / "relations.md", markdown(table, plan))
+    write(plan.out / "relations.json", json.dumps(card(plan), indent=1))
     return table
 
 
@@ -135,11 +135,11 @@ def markdown(table: pd.DataFrame, plan: Plan) -> str:
     ]
     for family in (NEAR, WIDE):
         least, most = family.headway
-        parts += [f"First headways of {least:g} to {most:g} m:", _pivot(accuracy, f", {family.name}")]
+        parts += [f"First headways of {least:g} to {most:g} m:", pivot(accuracy, f", {family.name}")]
     parts += [
         "## False follow in controls [%]",
         'No vehicle reacts to another one of the scene, so every "follow" is wrong.',
-        _pivot(false, ""),
+        pivot(false, ""),
     ]
     return "\n\n".join(parts) + "\n"
 
@@ -148,7 +148,7 @@ def _percent(value: float, low: float, high: float) -> str:
     return "–" if np.isnan(value) else f"{100 * value:.0f} ({100 * low:.0f}–{100 * high:.0f})"
 
 
-def _pivot(part: pd.DataFrame, suffix: str) -> str:
+def pivot(part: pd.DataFrame, suffix: str) -> str:
     """A line per row of the benchmark, a column per test set whose name ends with the suffix."""
     sets = [name for name in dict.fromkeys(part["set"]) if name.endswith(suffix)]
     cells = {
@@ -207,8 +207,8 @@ def card(plan: Plan) -> dict[str, Any]:
     }
 
 
-def _write(path: Path, text: str) -> None:
-    """The file appears whole or not at all."""
+def write(path: Path, text: str) -> None:
+    """Write a file that appears whole or not at all."""
     path.parent.mkdir(parents=True, exist_ok=True)
     partial = path.with_name(f"{path.name}.{os.getpid()}.part")
     try:
