@@ -66,14 +66,16 @@ class Terms:
     """Room is asked for only where the gap is shorter than a share of the safe one."""
     derived_cut_in: bool = True
     """Cut-ins follow from how the lag vehicle follows. Else every lane change ahead of a vehicle is one."""
+    motion: bool = True
+    """Accelerations count. Else only who is where, and how fast: the prior alone."""
     stay: float = 0.9
     """Probability that an explanation holds in the next step, too."""
 
 
 ALL_TERMS = Terms()
 MEAN_DRIVER = (1.4, 2.0)  # headway [s], standstill gap [m]
-HEADWAYS = torch.linspace(0.4, 2.6, 45, dtype=torch.float64)  # [s]
-STANDSTILL_GAPS = torch.linspace(1.1, 2.9, 7, dtype=torch.float64)  # [m]
+HEADWAYS = torch.linspace(0.4, 2.4, 38, dtype=torch.float64)  # [s]
+STANDSTILL_GAPS = torch.linspace(1.1, 2.9, 6, dtype=torch.float64)  # [m]
 ROOM = 0.3  # a merging vehicle asks for room where the gap is shorter than this share of the safe one
 
 ODDS: dict[str, float] = {
@@ -90,7 +92,8 @@ ODDS: dict[str, float] = {
 def driver_grid(terms: Terms) -> tuple[Float[Tensor, " G"], Float[Tensor, " G"]]:
     """Headways [s] and standstill gaps [m] over which each driver's likelihood is averaged."""
     if not terms.latent_driver:
-        return tuple(torch.tensor([value], dtype=torch.float64) for value in MEAN_DRIVER)
+        headway, standstill = (torch.tensor([value], dtype=torch.float64) for value in MEAN_DRIVER)
+        return headway, standstill
     headway, standstill = torch.cartesian_prod(HEADWAYS, STANDSTILL_GAPS).unbind(-1)
     return headway, standstill
 
@@ -155,7 +158,7 @@ def _explain_one(
             fits[FOLLOW + n + k] = _yield(a, before, c, terms)
             odds[FOLLOW + n + k] = (~same & near) * torch.where(ahead, ODDS["yield"], ODDS["let pass"]) * asked[:, None]
     stacked = torch.stack([fit + wide for fit in fits], -1)
-    judged = torch.ones(a.shape[-1], 1, dtype=a.dtype)
+    judged = torch.full((a.shape[-1], 1), float(terms.motion), dtype=a.dtype)
     judged[-1] = 0  # no acceleration is known from the last step on
     return stacked * judged, torch.stack([odd + wide for odd in odds], -1)
 

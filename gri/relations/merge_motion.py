@@ -29,8 +29,9 @@ class MergeMotion:
         return len(self.x)
 
     def __getitem__(self, scenes: slice | Tensor) -> "MergeMotion":
-        parts = (getattr(self, name)[scenes] for name in ("x", "v", "a", "lane", "length"))
-        return MergeMotion(*parts, self.dt)
+        return MergeMotion(
+            self.x[scenes], self.v[scenes], self.a[scenes], self.lane[scenes], self.length[scenes], self.dt
+        )
 
     def gap(self, behind: int, ahead: int) -> Float[Tensor, "S T"]:
         """From the front of one vehicle to the rear of another [m]; negative where they overlap or change places."""

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from gri.core.edges import LANE_CHANGING, EdgeType, pairs
@@ -29,6 +29,7 @@ from gri.relations.merge_motion import MergeMotion, motion_of
 
 CUT_IN_EFFECT = -0.5  # [m/s²]; a lane change that costs the lag vehicle less is no cut-in
 CUT_IN_WINDOW, CUT_IN_HOLD = 2.0, 1.0  # [s]: where an effect is looked for, and how long a cut-in is one
+SHORTEST = 0.6  # [s], of a relation that counts for the graph of a scene
 AT_ONCE = 24  # scenes; bounds the memory
 LEAST_NOISE = {"keep_noise": 0.08, "follow_noise": 0.1, "outsider_noise": 0.1, "adapt_noise": 0.1}
 """[m/s²]; simulated drivers sometimes repeat an acceleration exactly, and a density must not grow without bounds."""
@@ -115,6 +116,28 @@ def _cut_in(
     changed = motion.lane[:, MERGER, 1:] != motion.lane[:, MERGER, :-1]
     for scene, t in torch.nonzero(changed & behind[:, 1:]).tolist():
         found[scene, t + 1 : t + 1 + hold] = p[scene, t + 1 : t + 1 + window].max()
+    return found
+
+
+def scene_graphs(
+    steps: Float[Tensor, "S T E K"], motion: MergeMotion, constants: Mapping[str, float] = CONSTANTS
+) -> Int[Tensor, "S E"]:
+    """One relation per pair: the one with the strongest effect in any step in which it is the most probable one.
+
+    Relations that hold for less than 0.6 s are left out, as single steps are often wrong. An effect is what a driver's
+    acceleration lacks to the greatest one. A cut-in acts on the lag vehicle.
+    """
+    answer = steps.argmax(-1)
+    lacks = (constants["acceleration"] - motion.a).clamp(min=0.0)  # Shape: (S, N, T)
+    window = round(CUT_IN_WINDOW / motion.dt)
+    later = torch.nn.functional.pad(lacks, (0, window - 1)).unfold(-1, window, 1).amax(-1)
+    found = torch.zeros_like(answer[:, 0])
+    for edge, (i, j) in enumerate(pairs(motion.x.shape[1])):
+        strength = torch.stack([lacks[:, j], lacks[:, j], later[:, i]], -1)  # of follow, yield, cut_in
+        holds = answer[:, :, edge, None] == torch.arange(1, len(LANE_CHANGING))
+        long = holds.sum(1) * motion.dt >= SHORTEST - 1e-9
+        most = torch.where(holds & long[:, None], 1.0 + strength, 0.0).amax(1) + 1e-6 * holds.sum(1)
+        found[:, edge] = torch.cat([torch.full_like(most[:, :1], 0.5), most], -1).argmax(-1)
     return found
 
 
