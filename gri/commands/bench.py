@@ -1,4 +1,4 @@
-"""The commands `gri bench relations` and `gri bench lanes`: does a model see who reacts to whom?"""
+"""The commands `gri bench relations`, `lanes` and `merges`: does a model see who reacts to whom?"""
 
 from pathlib import Path
 from typing import Annotated
@@ -96,3 +96,29 @@ def lanes(
     for name in ("lanes.md", "lanes.csv", "lanes.json"):
         say(str(out / name))
     next_command("gri evaluate CHECKPOINT --scene-file FILE")
+
+
+@app.command()
+def merges(
+    scenes: Annotated[list[Path], typer.Option(help="Scene file to score, of one site; repeatable.")],
+    train: Annotated[list[Path], typer.Option(help="Scene file of other seeds, to learn from; repeatable.")],
+    out: Annotated[Path, typer.Option(help="Folder of tables and finished rows.")] = Path("runs/bench/relations"),
+    seeds: Annotated[int, typer.Option(min=1, max=100, help="Seeds of the rows that depend on one.")] = 5,
+    row: Annotated[list[str] | None, typer.Option(help="Score only this row; repeatable.")] = None,
+) -> None:
+    """Score relations per step of SUMO's merges.
+
+    Scene files are those of `cosim scenes us101_merge --gold --kind merge`.
+    The same command continues where it was stopped.
+    """
+    one_thread()
+    from gri.bench.merges import Plan, run
+
+    try:
+        with ProgressDisplay() as progress:
+            run(Plan(out, tuple(scenes), tuple(train), seeds, tuple(row or ())), progress)
+    except KeyboardInterrupt:
+        notice("stopped; finished rows are kept, the same command continues")
+        raise typer.Exit(130) from None
+    for name in ("merges.md", "merges.csv", "merges.json"):
+        say(str(out / name))
