@@ -2,11 +2,12 @@
 
 import re
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 
-from cosim.scenes.scene_rules import DT, KINDS, Kind, Rules
+from cosim.scenes.scene_rules import DEFAULT_KINDS, DT, KINDS, Kind, Rules
+from cosim.spec.demand import CarFollowingModel
 from cosim.spec.loading import override
 from cosim.spec.scenario import Scenario, SimulatedTraffic
 from gri.errors import InputError
@@ -29,12 +30,28 @@ def changed(scenario: Scenario, name: str, step: float | None) -> Scenario:
     return override(scenario, {"step": step})
 
 
+def with_car_following(scenario: Scenario, model: str | None) -> Scenario:
+    """The scenario in which all drivers have another car-following model, as precise as the model can be.
+
+    Raises:
+        InputError: the model is unknown.
+    """
+    if model is None:
+        return scenario
+    known = get_args(CarFollowingModel)
+    if model not in known:
+        raise InputError(f"--car-following: got {model!r}, wanted {', '.join(known)}")
+    changes: dict[str, Any] = {"car_following": model} | ({} if model == "Krauss" else {"imperfection": None})
+    vehicles = tuple(msgspec.structs.replace(of, **changes) for of in scenario.traffic.vehicles)
+    return msgspec.structs.replace(scenario, traffic=msgspec.structs.replace(scenario.traffic, vehicles=vehicles))
+
+
 def kinds_of(names: Sequence[str] | None) -> tuple[Kind, ...]:
-    """The named kinds, each once; all kinds where no name is given."""
+    """The named kinds, each once; car following and merges where no name is given."""
     for name in names or ():
         if name not in KINDS:
-            raise InputError(f"--kind: got {name!r}, wanted {' or '.join(KINDS)}")
-    return tuple(kind for kind in KINDS if not names or kind in names)
+            raise InputError(f"--kind: got {name!r}, wanted one of {', '.join(KINDS)}")
+    return tuple(kind for kind in KINDS if kind in (names or DEFAULT_KINDS))
 
 
 def rules_of(*, at_most: Sequence[str], **changes: Any) -> Rules:

@@ -8,14 +8,16 @@ from typing import Annotated
 import typer
 
 from cosim.commands.arguments import ScenarioArgument
-from gri.terminal import ProgressDisplay, console, next_command, say
+from gri.terminal import ProgressDisplay, console, next_command, notice, say
 
 
 def scenes(
     scenario: ScenarioArgument,
     out: Annotated[Path, typer.Option(help="Folder to write scenes.parquet and report.json to.")],
     count: Annotated[int, typer.Option(min=1, help="Scenes of each kind.")] = 1000,
-    kind: Annotated[list[str] | None, typer.Option(help="car_following or merge; repeatable; default: both.")] = None,
+    kind: Annotated[
+        list[str] | None, typer.Option(help="car_following, merge or triple; repeatable; default: the first two.")
+    ] = None,
     gold: Annotated[
         bool, typer.Option("--gold", help="Label relations by interventions in copies of the simulation, not by rules.")
     ] = False,
@@ -26,6 +28,12 @@ def scenes(
     ] = None,
     step: Annotated[
         float | None, typer.Option(help="Step of the simulation [s]; 0.2 s must be a multiple of it.")
+    ] = None,
+    car_following: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MODEL", help="Car-following model of all drivers: Krauss, IDM or EIDM; default: the scenario's."
+        ),
     ] = None,
     any_change: Annotated[
         bool, typer.Option("--any-change", help="Take lane changes for any reason as merges, not only necessary ones.")
@@ -54,10 +62,11 @@ def scenes(
 
     The labels say which vehicle follows, yields to or cuts in on which.
     """
-    from cosim.commands.scene_options import changed, kinds_of, rules_of
+    from cosim.commands.scene_options import changed, kinds_of, rules_of, with_car_following
     from cosim.spec.loading import load_scenario, override
 
-    chosen = changed(override(load_scenario(scenario), {} if seed is None else {"seed": seed}), scenario, step)
+    seeded = override(load_scenario(scenario), {} if seed is None else {"seed": seed})
+    chosen = with_car_following(changed(seeded, scenario, step), car_following)
     rules = rules_of(
         strategic=not any_change, at_most=at_most or [], interaction=interaction, spacing=spacing,
         per_vehicle=per_vehicle, reduction=reduction,
@@ -77,10 +86,15 @@ def scenes(
     )
     began = time.monotonic()
     with ProgressDisplay() as progress:
-        made = make(order, out, workers or os.cpu_count() or 1, lambda done, total: progress("scenes", done, total))
+        made = make(
+            order, out, workers or os.cpu_count() or 1, lambda done, total: progress("scenes", done, total), notice
+        )
     report = report_of(order, made, time.monotonic() - began, out)
     for table in tables(report):
         console.print(table)
     say(report["cost"]["text"])
-    config = "sumo_car_following" if "car_following" in order.kinds else "sumo_merge"
-    next_command(f"gri train {config} --scene-file {made.path}")
+    if order.kinds == ("triple",):
+        next_command(f"gri bench relations --sumo {made.path}")
+    else:
+        config = "sumo_car_following" if "car_following" in order.kinds else "sumo_merge"
+        next_command(f"gri train {config} --scene-file {made.path}")

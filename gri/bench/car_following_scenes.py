@@ -104,14 +104,14 @@ def is_free_of_contact(state: Float[Tensor, "S N T 3"], length: float = LENGTH) 
     return ((x[:, 1:] - x[:, :-1]) > length + 0.3).all(-1).all(-1)
 
 
-def _uniform(shape: tuple[int, ...], bounds: tuple[float, float], generator: torch.Generator) -> Tensor:
+def uniform(shape: tuple[int, ...], bounds: tuple[float, float], generator: torch.Generator) -> Tensor:
     low, high = bounds
     return low + (high - low) * torch.rand(shape, generator=generator, dtype=torch.float64)
 
 
-def _log_uniform(shape: tuple[int, ...], bounds: tuple[float, float], generator: torch.Generator) -> Tensor:
+def log_uniform(shape: tuple[int, ...], bounds: tuple[float, float], generator: torch.Generator) -> Tensor:
     low, high = torch.tensor(bounds).log().tolist()
-    return torch.exp(_uniform(shape, (low, high), generator))
+    return torch.exp(uniform(shape, (low, high), generator))
 
 
 def accelerations(v: Float[Tensor, "*B T"]) -> Float[Tensor, "*B T-1"]:
@@ -131,7 +131,7 @@ def _draw_leaders(family: SceneFamily, count: int, generator: torch.Generator) -
     return torch.where(follows & (ahead > 0), candidate, nobody)
 
 
-def _wander(shape: tuple[int, ...], steps: int, dt: float, time: float, generator: torch.Generator) -> Tensor:
+def wander(shape: tuple[int, ...], steps: int, dt: float, time: float, generator: torch.Generator) -> Tensor:
     """An Ornstein–Uhlenbeck process of unit variance with a correlation time [s]."""
     keep = torch.exp(torch.tensor(-dt / time, dtype=torch.float64))
     value, path = torch.randn(shape, generator=generator, dtype=torch.float64), []
@@ -141,7 +141,7 @@ def _wander(shape: tuple[int, ...], steps: int, dt: float, time: float, generato
     return torch.stack(path)
 
 
-def _unseen_leaders(
+def unseen_leaders(
     family: SceneFamily, speed: Float[Tensor, "S N"], steps: int, dt: float, generator: torch.Generator
 ) -> tuple[Tensor, Tensor]:
     """Positions (from their start) and speeds of leaders nobody sees: phases of constant acceleration."""
@@ -153,8 +153,8 @@ def _unseen_leaders(
         positions.append(x)
         speeds.append(v.clamp(min=0))
         renew = left <= 0
-        a = torch.where(renew, _uniform(shape, (-2.0, 1.5), generator), a)
-        left = torch.where(renew, _uniform(shape, (1.0, 5.0), generator), left - dt)
+        a = torch.where(renew, uniform(shape, (-2.0, 1.5), generator), a)
+        left = torch.where(renew, uniform(shape, (1.0, 5.0), generator), left - dt)
         faster = (v + a * dt).clamp(0.0, family.speed[1] + 5.0)
         x, v = x + (v.clamp(min=0) + faster) / 2 * dt, faster
     return torch.stack(positions), torch.stack(speeds)
@@ -166,22 +166,22 @@ def _simulate(
     n, dt = family.vehicles, family.dt / SUBSTEPS
     shape, steps = (count, n), (family.steps - 1) * SUBSTEPS + 1
     # Starts, graph and drivers are drawn independently of each other.
-    headway = _log_uniform(shape, family.headway, generator)
+    headway = log_uniform(shape, family.headway, generator)
     x = (headway.cumsum(1) - headway[:, :1]).clone()
     v = (
-        _uniform((count, 1), family.speed, generator)
+        uniform((count, 1), family.speed, generator)
         + family.speed_spread * torch.randn(shape, generator=generator, dtype=torch.float64)
     ).clamp(min=0)
     leader = _draw_leaders(family, count, generator)
     drivers = model.draw(shape, generator)
-    wished = (v + _uniform(shape, family.wished_surplus, generator)).clamp(min=1.0)
-    delay = (_uniform(shape, family.delay, generator) / dt).round().long()
-    wished_path = wished + _wander(shape, steps, dt, 8.0, generator)
-    see_gap = 1 + family.perception_noise * _wander(shape, steps, dt, 2.0, generator)
-    see_speed = 10 * family.perception_noise * _wander(shape, steps, dt, 2.0, generator)
-    act = family.action_noise * _wander(shape, steps, dt, 1.0, generator)
-    unseen_x, unseen_v = _unseen_leaders(family, v, steps, dt, generator)
-    unseen_x = unseen_x + x + _log_uniform(shape, family.headway, generator)
+    wished = (v + uniform(shape, family.wished_surplus, generator)).clamp(min=1.0)
+    delay = (uniform(shape, family.delay, generator) / dt).round().long()
+    wished_path = wished + wander(shape, steps, dt, 8.0, generator)
+    see_gap = 1 + family.perception_noise * wander(shape, steps, dt, 2.0, generator)
+    see_speed = 10 * family.perception_noise * wander(shape, steps, dt, 2.0, generator)
+    act = family.action_noise * wander(shape, steps, dt, 1.0, generator)
+    unseen_x, unseen_v = unseen_leaders(family, v, steps, dt, generator)
+    unseen_x = unseen_x + x + log_uniform(shape, family.headway, generator)
 
     rows = torch.where(leader >= 0, leader, torch.where(leader == UNSEEN, n + torch.arange(n), torch.arange(n)))
     a = torch.zeros(shape, dtype=torch.float64)

@@ -1,6 +1,6 @@
 """`gri bench relations --recordings`: who reacts to whom in recorded traffic? Scores every row, with intervals.
 
-One job is a row, a window length and a seed. A finished job is a file, as in `gri.bench.relations`.
+One job is a row, a window length and a seed. A finished job is a file, see `gri.bench.resumable_jobs`.
 """
 
 import json
@@ -30,11 +30,10 @@ from gri.bench.recorded_sets import (
     RecordedSet,
     Recordings,
 )
-from gri.bench.relations import write
+from gri.bench.resumable_jobs import check_names, finish, job_file, write_whole
 from gri.bench.scores import Score
 from gri.core.edges import pairs
 from gri.data.ngsim.following_triples import read_sites
-from gri.errors import InputError
 from gri.progress import Progress, no_progress
 
 VERSION = 1  # of the windows and rows; another one makes all jobs again
@@ -54,15 +53,21 @@ class RecordedPlan:
     lanes: bool = True
     """Whether lane changes are scored as well, all rows of them."""
 
-    def jobs(self) -> Iterator[tuple[RecordedRow, str, int]]:
+    def jobs(self) -> list[tuple[RecordedRow, str, int]]:
         """Rows, window lengths and seeds; rows that do not depend on the seed are done once."""
-        known = [row.name for row in RECORDED_ROWS]
-        if unknown := [name for name in self.rows if name not in known]:
-            raise InputError(f"--row: got {unknown[0]!r}, wanted one of: {'; '.join(known)}")
-        for row in RECORDED_ROWS:
-            if not self.rows or row.name in self.rows:
-                for window in self.windows:
-                    yield from ((row, window, seed) for seed in range(self.seeds if row.varies else 1))
+        check_names(self.rows, [row.name for row in RECORDED_ROWS])
+        wanted = [row for row in RECORDED_ROWS if not self.rows or row.name in self.rows]
+        return [
+            (row, window, seed)
+            for row in wanted
+            for window in self.windows
+            for seed in range(self.seeds if row.varies else 1)
+        ]
+
+    def file(self, row: RecordedRow, window: str, seed: int, digests: Sequence[str]) -> Path:
+        """Where the result of a job is kept; the name changes with whatever changes the result."""
+        constants = (UPDATES, TAUGHT_KINDS, STEPS, STRIDE, COPIES)
+        return job_file(self.out, ("recorded", VERSION, row.name, row.given, window, seed, digests, constants))
 
 
 def run_recorded(plan: RecordedPlan, progress: Progress = no_progress) -> pd.DataFrame:
@@ -74,31 +79,34 @@ def run_recorded(plan: RecordedPlan, progress: Progress = no_progress) -> pd.Dat
     Errors: `InputError` if a row is unknown, or a file cannot be read.
     """
     torch.set_num_threads(1)
-    jobs = list(plan.jobs())
+    jobs = plan.jobs()
     recordings = Recordings(tuple(read_sites(plan.files)))
     digests = [sha256(path.read_bytes()).hexdigest() for path in plan.files]
-    results = []
-    for done, (row, window, seed) in enumerate(jobs):
-        progress("recorded relations", done, len(jobs), 0.0)
-        facts = (VERSION, row.name, row.given, window, seed, digests, UPDATES, TAUGHT_KINDS, STEPS, STRIDE, COPIES)
-        path = plan.out / "jobs" / f"recorded-{sha256(repr(facts).encode()).hexdigest()[:16]}.json"
-        if not path.is_file():
-            write(path, json.dumps(_result(recordings, row, window, seed), indent=1))
-        results += [{"row": row.name, "given": row.given, **part} for part in json.loads(path.read_text())]
+    found = finish(
+        jobs,
+        lambda *job: plan.file(*job, digests),
+        lambda *job: _result(recordings, *job),
+        "recorded relations",
+        progress,
+    )
+    results = [
+        {"row": row.name, "given": row.given, **part}
+        for (row, _, _), parts in zip(jobs, found, strict=True)
+        for part in parts
+    ]
     if plan.lanes:
         results += _lane_changes(plan, digests)
-    progress("recorded relations", len(jobs), len(jobs), 0.0)
     table = _over_seeds(pd.DataFrame(results))
-    write(plan.out / "recorded.csv", table.to_csv(index=False, float_format="%.4f"))
-    write(plan.out / "recorded.md", markdown(table))
+    write_whole(plan.out / "recorded.csv", table.to_csv(index=False, float_format="%.4f"))
+    write_whole(plan.out / "recorded.md", markdown(table))
     return table
 
 
 def _lane_changes(plan: RecordedPlan, digests: list[str]) -> list[dict[str, Any]]:
     """Scores of recorded lane changes; made once."""
-    path = plan.out / "jobs" / f"lanes-{sha256(repr((VERSION, digests)).encode()).hexdigest()[:16]}.json"
+    path = job_file(plan.out, ("recorded lane changes", VERSION, digests))
     if not path.is_file():
-        write(path, lane_change_scores(plan.files).to_json(orient="records", indent=1))
+        write_whole(path, lane_change_scores(plan.files).to_json(orient="records", indent=1))
     where = {"part": "test", "site": "all", "window": "8 s", "vehicles": "lane changes", "kind": "lane changes"}
     return [{**line, **where} for line in json.loads(path.read_text())]
 

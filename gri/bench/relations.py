@@ -5,12 +5,9 @@ of one version write the same bytes.
 """
 
 import json
-import os
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
-from hashlib import sha256
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -24,10 +21,19 @@ from gri.bench.car_following_scenes import DT
 from gri.bench.driver_models import DRIVER_MODELS
 from gri.bench.families import NEAR, WIDE, KnownScenes, TestSet, split, test_sets
 from gri.bench.figures import Curves, draw_abstention, draw_reliability
+from gri.bench.resumable_jobs import (
+    chosen_jobs,
+    finish,
+    job_file,
+    left_out,
+    number,
+    pivot,
+    score_table,
+    write_whole,
+)
 from gri.bench.rows import ROWS, UPDATES, WINDOW, Row
 from gri.bench.scores import SCORES, abstention_area, bootstrap, reliability, risk_curve, score, unknown_auc
 from gri.core.edges import pairs
-from gri.errors import InputError
 from gri.progress import Progress, no_progress
 
 VERSION = 2  # of the scenes and rows; another one makes all jobs again
@@ -48,27 +54,14 @@ class Plan:
     training: int = TRAINING
     validation: int = VALIDATION
 
-    def jobs(self) -> Iterator[tuple[Row, int]]:
+    def jobs(self) -> list[tuple[Row, int]]:
         """Rows and seeds; rows that do not depend on the seed are done once."""
-        known = [row.name for row in ROWS]
-        if unknown := [name for name in self.rows if name not in known]:
-            raise InputError(f"--row: got {unknown[0]!r}, wanted one of: {'; '.join(known)}")
-        for row in ROWS:
-            wanted = row.name in self.rows
-            if wanted and row in left_out():
-                raise InputError(f"--row {row.name!r}: {row.needs} is not installed; pip install 'gri-cosim[bench]'")
-            if wanted or (not self.rows and row not in left_out()):
-                yield from ((row, seed) for seed in range(self.seeds if row.varies else 1))
+        return chosen_jobs(ROWS, self.rows, self.seeds)
 
     def file(self, row: Row, seed: int) -> Path:
         """Where the result of a job is kept; the name changes with whatever changes the result."""
         facts = (VERSION, row.name, row.given, seed, self.scenes, self.training, self.validation, UPDATES, WINDOW)
-        return self.out / "jobs" / f"{sha256(repr(facts).encode()).hexdigest()[:16]}.json"
-
-
-def left_out() -> list[Row]:
-    """Rows that need a module which is not installed."""
-    return [row for row in ROWS if row.needs and find_spec(row.needs) is None]
+        return job_file(self.out, facts)
 
 
 def run(plan: Plan, progress: Progress = no_progress) -> pd.DataFrame:
@@ -78,20 +71,15 @@ def run(plan: Plan, progress: Progress = no_progress) -> pd.DataFrame:
     mean interval over scenes widened to the least and the greatest seed.
     """
     torch.set_num_threads(1)
-    jobs = list(plan.jobs())
-    for done, (row, seed) in enumerate(jobs):
-        progress("relations", done, len(jobs), 0.0)
-        path = plan.file(row, seed)
-        if not path.is_file():
-            write(path, json.dumps(_result(plan, row, seed), indent=1))
-    progress("relations", len(jobs), len(jobs), 0.0)
-    table = _table(plan, jobs)
-    write(plan.out / "relations.csv", table.to_csv(index=False, float_format="%.4f"))
-    write(plan.out / "relations.md", markdown(table, plan))
-    curves = _curves(plan, jobs)
-    write(plan.out / "relations_reliability.svg", draw_reliability(curves))
-    write(plan.out / "relations_abstention.svg", draw_abstention(curves))
-    write(plan.out / "relations.json", json.dumps(card(plan), indent=1))
+    jobs = plan.jobs()
+    results = finish(jobs, plan.file, lambda row, seed: _result(plan, row, seed), "relations", progress)
+    table = score_table(jobs, [result["sets"] for result in results])
+    write_whole(plan.out / "relations.csv", table.to_csv(index=False, float_format="%.4f"))
+    write_whole(plan.out / "relations.md", markdown(table, plan))
+    curves = _curves(jobs, results)
+    write_whole(plan.out / "relations_reliability.svg", draw_reliability(curves))
+    write_whole(plan.out / "relations_abstention.svg", draw_abstention(curves))
+    write_whole(plan.out / "relations.json", json.dumps(card(plan), indent=1))
     return table
 
 
@@ -152,26 +140,11 @@ def _result(plan: Plan, row: Row, seed: int) -> dict[str, Any]:
     return {"sets": sets, "reliability": reliability(p, truth), "risk": risk_curve(p, truth, uncertainty)}
 
 
-def _table(plan: Plan, jobs: Sequence[tuple[Row, int]]) -> pd.DataFrame:
-    rows = []
-    for row, seed in jobs:
-        for part in json.loads(plan.file(row, seed).read_text())["sets"]:
-            for name, value in part["scores"].items():
-                rows.append((row.name, row.given, part["set"], part["kind"], name, seed, *value.values()))
-    columns = ["row", "given", "set", "kind", "score", "seed", "value", "low", "high"]
-    long = pd.DataFrame(rows, columns=columns)
-    keys = ["row", "given", "set", "kind", "score"]
-    grouped = long.groupby(keys, sort=False)
-    return grouped.agg(
-        value=("value", "mean"), low=("low", "min"), high=("high", "max"), seeds=("seed", "size")
-    ).reset_index()
-
-
-def _curves(plan: Plan, jobs: Sequence[tuple[Row, int]]) -> dict[str, Curves]:
+def _curves(jobs: Sequence[tuple[Row, int]], results: Sequence[dict[str, Any]]) -> dict[str, Curves]:
     """The diagrams of each row over all foreign drivers: pairs of all seeds together, mean risk."""
     found: dict[str, list[dict[str, Any]]] = {}
-    for row, seed in jobs:
-        found.setdefault(row.name, []).append(json.loads(plan.file(row, seed).read_text()))
+    for (row, _), result in zip(jobs, results, strict=True):
+        found.setdefault(row.name, []).append(result)
     return {
         name: Curves(
             pairs=np.sum([part["reliability"]["pairs"] for part in parts], 0),
@@ -187,7 +160,7 @@ def markdown(table: pd.DataFrame, plan: Plan) -> str:
     """The page that people read: a summary, balanced accuracy per driver model, false follow per control."""
     accuracy = table[(table["kind"] == "drivers") & (table["score"] == "balanced_accuracy")]
     false = table[(table["kind"] == "control") & (table["score"] == "false_follow")]
-    missing = [row.name for row in left_out() if not plan.rows]
+    missing = [row.name for row in left_out(ROWS) if not plan.rows]
     fewer = "".join(f" ({row.name}: {row.most})" for row in ROWS if row.most and row.most < plan.scenes)
     parts = [
         "# Who reacts to whom: scores",
@@ -203,41 +176,21 @@ def markdown(table: pd.DataFrame, plan: Plan) -> str:
     ]
     for family in (NEAR, WIDE):
         least, most = family.headway
-        parts += [f"First headways of {least:g} to {most:g} m:", _pivot(accuracy, f", {family.name}")]
+        parts += [f"First headways of {least:g} to {most:g} m:", pivot(accuracy, f", {family.name}")]
     parts += [
         "## False follow in controls [%]",
         'No vehicle reacts to another one of the scene, so every "follow" is wrong.',
-        _pivot(false, ""),
+        pivot(false),
         "## Unknown worlds: AUROC of uncertainty",
         "Probability that a row trusts itself less in a scene of an unknown world than in one of the drivers above; 0.5"
         " is chance. The uncertainty of a scene is the mean over its scored pairs.",
-        _pivot(table[table["score"] == "unknown_auc"], "", _plain),
+        pivot(table[table["score"] == "unknown_auc"], "", number),
         "## How far probabilities can be trusted",
         "Foreign drivers, all seeds together. Left out of the diagram: bins with fewer than 20 pairs.",
         "![Share of true edges against P(follow), one panel per row](relations_reliability.svg)",
         "![Share of wrong answers against coverage, one panel per row](relations_abstention.svg)",
     ]
     return "\n\n".join(parts) + "\n"
-
-
-def _percent(value: float, low: float, high: float) -> str:
-    return "–" if np.isnan(value) else f"{100 * value:.0f} ({100 * low:.0f}–{100 * high:.0f})"
-
-
-def _plain(value: float, low: float, high: float) -> str:
-    return "–" if np.isnan(value) else f"{value:.2f} ({low:.2f}–{high:.2f})"
-
-
-def _pivot(part: pd.DataFrame, suffix: str, cell: Callable[[float, float, float], str] = _percent) -> str:
-    """A line per row of the benchmark, a column per test set whose name ends with the suffix."""
-    sets = [name for name in dict.fromkeys(part["set"]) if name.endswith(suffix)]
-    cells = {
-        (line["row"], line["set"]): cell(line["value"], line["low"], line["high"]) for line in part.to_dict("records")
-    }
-    heads = [name.removesuffix(suffix) for name in sets]
-    lines = [f"| row | {' | '.join(heads)} |", "|---" * (len(heads) + 1) + "|"]
-    rows = dict.fromkeys(part["row"])
-    return "\n".join([*lines, *(f"| {row} | {' | '.join(cells[row, name] for name in sets)} |" for row in rows)])
 
 
 def _summary(table: pd.DataFrame) -> str:
@@ -285,14 +238,3 @@ def card(plan: Plan) -> dict[str, Any]:
         "driver_models": {model.name: {"source": model.source, **model.ranges} for model in DRIVER_MODELS},
         "sets": sets,
     }
-
-
-def write(path: Path, text: str) -> None:
-    """Write a file that appears whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f"{path.name}.{os.getpid()}.part")
-    try:
-        partial.write_text(text)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)

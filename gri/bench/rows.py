@@ -5,14 +5,15 @@ labels"), or relations of other scenes ("labels").
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
 from gri import checkpoint
-from gri.bench.answers import Infer, Score, observed
+from gri.bench import resumable_jobs
+from gri.bench.answers import Answer, Infer, Score, observed
 from gri.bench.car_following_scenes import DT, LENGTH, WINDOW, KnownScenes, accelerations
 from gri.bench.pair_classifier import train_classifier
 from gri.bench.pcmci_row import pcmci
@@ -28,21 +29,7 @@ UPDATES = 1500  # of the taught classifiers
 FLAT_PRIOR, STRUCTURED = "flat prior", "prior: one of those ahead"
 
 
-@dataclass(frozen=True)
-class Row:
-    """A way to infer relations."""
-
-    name: str
-    given: str
-    """"nothing", "no labels" or "labels"; then its prior and its budget."""
-    prepare: Callable[[Sequence[KnownScenes], Sequence[KnownScenes], int], Infer]
-    """(training scenes, validation scenes, seed) → how to infer."""
-    varies: bool = False
-    """Whether the seed changes the answer."""
-    needs: str | None = None
-    """A module that is not among the requirements; without it the row is left out."""
-    most: int | None = None
-    """Scenes of each set that the row is scored on; None: all. For rows that are slow."""
+Row = resumable_jobs.Row[KnownScenes, Answer | Tensor]
 
 
 def _nobody(scenes: KnownScenes) -> Float[Tensor, "S E"]:

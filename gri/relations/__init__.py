@@ -2,5 +2,5 @@
 
 A vehicle's motion is explained by one reaction at a time: to a vehicle of the scene, to one that is not in the scene,
 or to none. `closed_form_posterior` compares these explanations in closed form. Training and the benchmark use it.
-Begin with `closed_form_posterior`.
+`merge_posterior` does the same per step of a merge, where explanations change. Begin with `closed_form_posterior`.
 """

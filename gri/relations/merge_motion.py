@@ -1,0 +1,106 @@
+"""Motion of the vehicles of a merge, as the explanations need it: gaps, speeds, accelerations and lanes."""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+NOMINAL_LENGTH = 5.0  # [m], of vehicles whose length is not known
+STRAIGHTEST = 1.875  # greatest lateral speed of a path of least jerk, in widths per duration
+SLOWEST_CHANGE = 0.03  # widths per step
+
+
+@dataclass(frozen=True)
+class MergeMotion:
+    """N vehicles over T steps. Vehicle 0 may change lanes; the last one shows which lane has number 0."""
+
+    x: Float[Tensor, "S N T"]
+    """Positions of the front bumpers along the road [m]."""
+    v: Float[Tensor, "S N T"]
+    a: Float[Tensor, "S N T"]
+    """Accelerations from each step to the next [m/s²]; the last step repeats the one before and is not judged."""
+    lane: Float[Tensor, "S N T"]
+    """Numbers of the lanes. A vehicle is in its new lane from the step on in which its lane change begins."""
+    length: Float[Tensor, "S N"]
+    dt: float
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+    def __getitem__(self, scenes: slice | Tensor) -> "MergeMotion":
+        return MergeMotion(
+            self.x[scenes], self.v[scenes], self.a[scenes], self.lane[scenes], self.length[scenes], self.dt
+        )
+
+    def gap(self, behind: int, ahead: int) -> Float[Tensor, "S T"]:
+        """From the front of one vehicle to the rear of another [m]; negative where they overlap or change places."""
+        return self.x[:, ahead] - self.x[:, behind] - self.length[:, ahead, None]
+
+    def same_lane(self, i: int, j: int) -> Bool[Tensor, "S T"]:
+        """Whether two vehicles are in one lane."""
+        return self.lane[:, i] == self.lane[:, j]
+
+    def next_to_each_other(self, i: int, j: int) -> Bool[Tensor, "S T"]:
+        """Whether no third vehicle in j's lane is between i and j along the road."""
+        free = torch.ones_like(self.x[:, i], dtype=torch.bool)
+        low, high = torch.minimum(self.x[:, i], self.x[:, j]), torch.maximum(self.x[:, i], self.x[:, j])
+        for m in range(self.x.shape[1]):
+            if m not in (i, j):
+                free &= ~(self.same_lane(m, j) & (self.x[:, m] > low) & (self.x[:, m] < high))
+        return free
+
+
+def motion_of(
+    state: Float[Tensor, "S N T D"],
+    lane_width: float | Float[Tensor, " S"],
+    dt: float,
+    length: Float[Tensor, "S N"] | None = None,
+) -> MergeMotion:
+    """The motion in states whose first features are x, y and v [m, m/s].
+
+    Args:
+        lane_width: distance between the centres of two lanes [m].
+        length: of the vehicles [m]; 0 where not known.
+
+    Raises:
+        ValueError: numbers that are not finite, or fewer than three steps.
+    """
+    if not bool(torch.isfinite(state[..., :3]).all()):
+        raise ValueError(
+            "got positions or speeds that are not finite; leave out vehicles that were not seen throughout"
+        )
+    if state.shape[2] < 3:
+        raise ValueError(f"got {state.shape[2]} steps, wanted at least 3; give a longer history")
+    x, y, v = state[..., 0].double(), state[..., 1].double(), state[..., 2].double()
+    a = (v[..., 1:] - v[..., :-1]) / dt
+    known = torch.zeros_like(x[..., 0]) if length is None else length.double()
+    return MergeMotion(
+        x=x,
+        v=v,
+        a=torch.cat([a, a[..., -1:]], -1),
+        lane=lane_numbers(y, lane_width),
+        length=torch.where(known > 0, known, NOMINAL_LENGTH),
+        dt=dt,
+    )
+
+
+def lane_numbers(y: Float[Tensor, "S N T"], lane_width: float | Float[Tensor, " S"]) -> Float[Tensor, "S N T"]:
+    """Numbers of the lanes, counted to the left from the last vehicle's first lane.
+
+    A lane change is taken for a path of least jerk: it begins half its duration before the line is crossed, and the
+    duration is 1.875 widths over the greatest lateral speed. So the beginning is found without a threshold on small
+    lateral movements, also in noise.
+    """
+    width = torch.as_tensor(lane_width, dtype=y.dtype)
+    across = (y - y[:, -1:, :1]) / (width[:, None, None] if width.ndim else width)
+    lane = across.round()
+    for scene, vehicle, t in torch.nonzero(lane[..., 1:] != lane[..., :-1]).tolist():
+        path = across[scene, vehicle]
+        line = (path[t].round() + path[t + 1].round()) / 2
+        crossing = t + float((line - path[t]) / (path[t + 1] - path[t]))
+        near = path[max(t - 3, 0) : t + 5]
+        speed = max(float((near[1:] - near[:-1]).abs().max()), SLOWEST_CHANGE)
+        begin = round(crossing - STRAIGHTEST / speed / 2)
+        lane[scene, vehicle, max(begin + 1, 0) : t + 1] = path[t + 1].round()
+    return lane
