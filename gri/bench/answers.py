@@ -19,7 +19,7 @@ class Answer:
     follow: Float[Tensor, "S E"]
     """P(the receiver follows the sender)."""
     unknown: Float[Tensor, "S E"] | None = None
-    """How little the row trusts its answer; only the order of the values counts. None: 1 − the largest probability."""
+    """How strange the scene is to the row; only the order of the values counts. None: 1 − the largest probability."""
 
     @property
     def uncertainty(self) -> Float[Tensor, "S E"]:

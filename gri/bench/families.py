@@ -26,7 +26,7 @@ from gri.bench.driver_models import DRIVER_MODELS, IDM, DriverModel
 
 NEAR = SceneFamily("near", headway=(10.0, 50.0))
 WIDE = SceneFamily("wide")
-SPLIT_SEEDS = {"train": 1_000, "validation": 2_000, "test": 3_000}
+SPLIT_SEEDS = {"train": 1_000, "validation": 2_000, "test": 5_000}
 
 
 @dataclass(frozen=True)

@@ -38,7 +38,6 @@ from gri.progress import Progress, no_progress
 
 VERSION = 2  # of the scenes and rows; another one makes all jobs again
 TRAINING, VALIDATION = 1500, 300  # scenes of each driver model and family
-FIELDS = ("p", "truth", "uncertainty")
 
 
 @dataclass(frozen=True)
@@ -116,7 +115,7 @@ def mark(infer: Infer, known: KnownScenes) -> Marked:
 def scores_of(marked: Marked) -> dict[str, dict[str, float]]:
     """All scores of a test set, each with its interval."""
     values = {name: asdict(score(name, marked.p, marked.truth)) for name in SCORES}
-    values["abstention_area"] = asdict(bootstrap(abstention_area, marked.p, marked.truth, marked.uncertainty))
+    values["abstention_area"] = asdict(bootstrap(abstention_area, marked.p, marked.truth, doubt(marked.p)))
     values["false_follow_from_behind"] = asdict(
         score("false_follow", marked.behind, np.zeros_like(marked.behind, bool))
     )
@@ -136,8 +135,13 @@ def _result(plan: Plan, row: Row, seed: int) -> dict[str, Any]:
             strange = np.arange(len(uncertainty)) >= len(everyday)
             values["unknown_auc"] = asdict(bootstrap(unknown_auc, uncertainty, strange))
         sets.append({"set": name, "kind": kind, "scores": values})
-    p, truth, uncertainty = (np.concatenate([getattr(part, what) for part in known]) for what in FIELDS)
-    return {"sets": sets, "reliability": reliability(p, truth), "risk": risk_curve(p, truth, uncertainty)}
+    p, truth = (np.concatenate([getattr(part, what) for part in known]) for what in ("p", "truth"))
+    return {"sets": sets, "reliability": reliability(p, truth), "risk": risk_curve(p, truth, doubt(p))}
+
+
+def doubt(p: Float[np.ndarray, "S F"]) -> Float[np.ndarray, "S F"]:
+    """1 − the probability of the answer that is given: the order in which a row abstains."""
+    return 1 - np.maximum(p, 1 - p)
 
 
 def _curves(jobs: Sequence[tuple[Row, int]], results: Sequence[dict[str, Any]]) -> dict[str, Curves]:

@@ -22,6 +22,7 @@ from gri.bench.reward_rows import fitted_reward, taught_encoder, untrained_rewar
 from gri.bench.structure import with_prior
 from gri.core.edges import EdgeType, pairs
 from gri.networks.model import RelationalModel
+from gri.networks.pair_encoder import PairEncoder
 from gri.relations.closed_form_posterior import Weights, explain, follow_probabilities
 
 MOST_LAG = 10  # steps
@@ -123,12 +124,16 @@ def closed_form(train: Sequence[KnownScenes], validation: Sequence[KnownScenes],
 
 
 def _model(model: RelationalModel) -> Infer:
-    """P(follow) by an encoder, from the last states that it wants to see."""
+    """P(follow) by an encoder, from the last states that it wants to see; a pair encoder sees all of them."""
     follow = model.config.vocabulary.index(EdgeType.FOLLOW)
 
     @torch.no_grad()
-    def infer(known: KnownScenes) -> Float[Tensor, "S E"]:
-        return model.infer(observed(known)[:, :, -model.history_steps :].float()).probs[..., follow].double()
+    def infer(known: KnownScenes) -> Answer:
+        seen = observed(known).float()
+        last = seen if isinstance(model.encoder, PairEncoder) else seen[:, :, -model.history_steps :]
+        graph = model.infer(last)
+        p = graph.probs[..., follow].double()
+        return Answer(p, None if graph.unknown is None else graph.unknown.double()[:, None].expand_as(p))
 
     return infer
 
