@@ -14,13 +14,14 @@ import torch
 
 from gri.core.scenes import Scenes
 from gri.data.mixture import mix_scenes
-from gri.data.ranges.car_following import RANGES
+from gri.data.ranges.car_following import RANGES, SceneRange
 from gri.data.ranges.graph_shares import GraphShare
 from gri.data.ranges.highway_merge import HIGHWAY_MERGE, HighwayMergeRange
 from gri.data.ranges.lane_changing import LANE_CHANGING_SCENES
 from gri.data.ranges.recorded import RECORDED, SUMO_CAR_FOLLOWING, SUMO_MERGE, RecordedRange
 from gri.data.recorded import recorded_scenes
-from gri.data.synthetic.expert import Range, make_scenes, train_expert
+from gri.data.synthetic.expert import Range, make_idm_scenes, make_scenes, train_expert
+from gri.data.synthetic.idm_drivers import IdmExpert
 from gri.data.synthetic.optimal_drivers import make_highway_scenes
 from gri.errors import InputError
 from gri.progress import Progress, no_progress
@@ -44,6 +45,8 @@ class DataConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     expert_updates: int = 1500
     action_noise: float = 0.0
     """Standard deviation of independent noise on the expert's jerk [m/s³]."""
+    expert: IdmExpert | msgspec.UnsetType = msgspec.UNSET
+    """Drivers of synthetic car following. Not set: a policy that was trained to maximise the true reward."""
     files: tuple[str, ...] | msgspec.UnsetType = msgspec.UNSET
     """Scene files from recorded traffic or SUMO. Without them, the file in the folder of scenes is read.
 
@@ -136,7 +139,13 @@ def _check_files_exist(scenes: RecordedRange, paths: Sequence[Path]) -> None:
 def _make_scenes(config: DataConfig, path: Path, progress: Progress) -> Scenes:
     scenes, shares = config.scene_range, config.shares
     count = config.train + config.validation + config.test
-    if isinstance(scenes, HighwayMergeRange):
+    if config.expert:
+        if not isinstance(scenes, SceneRange):
+            raise InputError(
+                f"field data.expert: got IDM drivers for range {config.range}, wanted range paper or us101"
+            )
+        made = make_idm_scenes(config.expert, scenes, shares, count, config.seed + 1, config.action_noise)
+    elif isinstance(scenes, HighwayMergeRange):
         made = make_highway_scenes(scenes, config.graphs, count, config.seed, progress)
     else:
         expert = train_expert(scenes, shares, config.seed, config.expert_updates, progress=progress)

@@ -23,13 +23,15 @@ from gri.training.grounded.recorded_traffic import RecordedSettings
 from gri.training.grounded.settings import GroundedSettings
 from gri.training.train import Objective
 
-Target = Literal["table1", "table2", "table3", "ood", "figures"]
+Target = Literal["table1", "table2", "table3", "ood", "figures", "equal_terms", "constants"]
 TABLES: dict[Target, tuple[str, ...]] = {
     "table1": ("table1",),
     "table3": ("table3",),
     "ood": ("ood",),
     "figures": ("table1", "table3", "ood"),
     "table2": ("table2",),
+    "equal_terms": ("equal_terms",),
+    "constants": (),
 }
 """The tables whose rows a target needs."""
 

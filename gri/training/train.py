@@ -19,7 +19,7 @@ from gri.networks.decoder import DecoderConfig
 from gri.networks.encoder import EncoderConfig
 from gri.networks.model import Edge, ModelConfig, RelationalModel
 from gri.progress import Progress, no_progress
-from gri.rewards.structured import ShapedReward, StructuredReward
+from gri.rewards.structured import AnyRewardConfig, AssumedReward, ShapedReward, StructuredReward
 from gri.rewards.unstructured import NetworkReward
 from gri.training.adversarial.airl import AdversarialSettings, train_adversarial, with_fixed_rationality
 from gri.training.baselines.nri import NriSettings, train_nri
@@ -48,6 +48,8 @@ class TrainConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     decoder: DecoderConfig = DecoderConfig()
     encoder: EncoderConfig = EncoderConfig()
     """Not used by objectives that do not infer graphs."""
+    reward: AssumedReward | msgspec.UnsetType = msgspec.UNSET
+    """What the learner assumes of synthetic car-following drivers. Not set: it knows the constants of the expert."""
 
 
 @dataclass(frozen=True)
@@ -99,6 +101,17 @@ def model_config(config: TrainConfig) -> ModelConfig:
     return msgspec.structs.replace(chosen, told_graph=supervised)
 
 
+def learner_reward(config: TrainConfig) -> AnyRewardConfig:
+    """The reward that the learner begins with. It shares no object with the reward of the expert.
+
+    If the configuration says nothing, it has the expert's constants, units and temperature: the paper's own game.
+    """
+    if config.reward:
+        return config.reward
+    given = (config.data.recorded or config.data.scene_range).reward
+    return msgspec.convert(msgspec.to_builtins(given), type(given))
+
+
 def _uniform_graph(vehicles: int) -> tuple[Edge, ...]:
     """A graph with the same type for all ordered pairs. The type's name has no meaning here."""
     return tuple(Edge(sender=i, receiver=j, type=EdgeType.FOLLOW) for i, j in pairs(vehicles))
@@ -118,13 +131,13 @@ def train(config: TrainConfig, splits: Splits, seed: int, progress: Progress = n
         case SupervisedSettings() as settings:
             train_supervised(model, splits.train, settings, seed, progress)
         case GroundedSettings() as settings:
-            reward = StructuredReward(scenes.reward)
+            reward = StructuredReward(learner_reward(config))
             train_grounded(model, reward, splits.train, settings, seed, progress)
         case RecordedSettings() as settings:
-            reward = StructuredReward(scenes.reward)
+            reward = StructuredReward(learner_reward(config))
             train_recorded(model, reward, splits.train, settings, seed, progress)
         case LabelledEncoderSettings() as settings:
-            reward = StructuredReward(scenes.reward)
+            reward = StructuredReward(learner_reward(config))
             train_labelled_encoder(model, reward, splits.train, settings, seed, progress)
         case NriSettings() as settings:
             train_nri(model, splits.train, settings, seed, progress)
@@ -132,7 +145,9 @@ def train(config: TrainConfig, splits: Splits, seed: int, progress: Progress = n
             networks = NetworkReward(scenes.scale, model.config.vocabulary)
             train_adversarial(model, ShapedReward(networks, scenes.scale), splits.train, settings, seed, progress)
         case AdversarialSettings() as settings:
-            reward = StructuredReward.with_weights(with_fixed_rationality(scenes.reward), settings.weights or {})
+            reward = StructuredReward.with_weights(
+                with_fixed_rationality(learner_reward(config)), settings.weights or {}
+            )
             train_adversarial(model, ShapedReward(reward, scenes.scale), splits.train, settings, seed, progress)
     return Trained(model.requires_grad_(False).eval(), reward, _provenance(config, seed, started, model, splits))
 
