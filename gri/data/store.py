@@ -23,6 +23,7 @@ from gri.data.recorded import recorded_scenes
 from gri.data.synthetic.expert import Range, make_idm_scenes, make_scenes, train_expert
 from gri.data.synthetic.idm_drivers import IdmExpert
 from gri.data.synthetic.optimal_drivers import make_highway_scenes
+from gri.data.synthetic.shifted_starts import ShiftedStarts, make_shifted_scenes
 from gri.errors import InputError
 from gri.progress import Progress, no_progress
 
@@ -47,6 +48,8 @@ class DataConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     """Standard deviation of independent noise on the expert's jerk [m/s³]."""
     expert: IdmExpert | msgspec.UnsetType = msgspec.UNSET
     """Drivers of synthetic car following. Not set: a policy that was trained to maximise the true reward."""
+    shifted: ShiftedStarts | msgspec.UnsetType = msgspec.UNSET
+    """Demonstrations from shifted starts that are added to the training scenes of synthetic car following."""
     files: tuple[str, ...] | msgspec.UnsetType = msgspec.UNSET
     """Scene files from recorded traffic or SUMO. Without them, the file in the folder of scenes is read.
 
@@ -103,6 +106,8 @@ def scenes_of(config: DataConfig, folder: Path, progress: Progress = no_progress
 
     Errors: `InputError` if a scene file is missing or unreadable, has an empty split, or does not fit the range.
     """
+    if config.shifted:
+        return _with_shifted(config, config.shifted, folder, progress)
     path, files = scenes_path(config, folder), [Path(file) for file in config.files or ()]
     file_range = config.scene_file_range
     if config.recorded is not None:
@@ -120,6 +125,23 @@ def scenes_of(config: DataConfig, folder: Path, progress: Progress = no_progress
         return splits
     from_files = recorded_splits(file_range, files)
     return Splits(*(mix_scenes(part, vars(from_files)[name]) for name, part in vars(splits).items()))
+
+
+def _with_shifted(config: DataConfig, shifted: ShiftedStarts, folder: Path, progress: Progress) -> Splits:
+    """The splits without shifted starts, with the demonstrations from shifted starts after the training scenes."""
+    scenes = config.scene_range if config.recorded is None else None
+    if not isinstance(scenes, SceneRange) or config.expert or config.files:
+        raise InputError(
+            f"field data.shifted: got it for range {config.range}, wanted range paper or us101 without expert and files"
+        )
+    splits = scenes_of(msgspec.structs.replace(config, shifted=msgspec.UNSET), folder, progress)
+    content = msgspec.json.encode([shifted, scenes, config.shares, config.seed])
+    path = folder / f"{config.range}-{config.graphs}-shifted-{hashlib.sha256(content).hexdigest()[:10]}.npz"
+    if not path.is_file():
+        write_scenes(path, make_shifted_scenes(shifted, scenes, config.shares, config.seed + 2))
+    added, train = read_scenes(path), splits.train
+    joined = (torch.cat([getattr(train, name), getattr(added, name)]) for name in ("state", "action", "graph"))
+    return Splits(Scenes(*joined), splits.validation, splits.test)
 
 
 def recorded_splits(scenes: RecordedRange, paths: Sequence[Path]) -> Splits:

@@ -79,8 +79,9 @@ def read_train_config(path: Path | str) -> TrainConfig:
 def _check_adversarial(path: Path | str, settings: AdversarialSettings) -> None:
     """Errors: `InputError` for settings that have no effect with the other settings."""
     semantic, inferred = settings.rewards == "semantic", settings.relations == "inferred"
+    planned = settings.start is not None and bool(settings.start.on_semantic_reward)
     for field, wanted, effective in (
-        ("start", "semantic rewards and inferred relations", semantic and inferred),
+        ("start", "semantic rewards and inferred relations, or on_semantic_reward", (semantic and inferred) or planned),
         ("weights", "semantic rewards, whose terms have names", semantic),
     ):
         if getattr(settings, field) and not effective:
@@ -143,7 +144,8 @@ def train(config: TrainConfig, splits: Splits, seed: int, progress: Progress = n
             train_nri(model, splits.train, settings, seed, progress)
         case AdversarialSettings(rewards="networks") as settings:
             networks = NetworkReward(scenes.scale, model.config.vocabulary)
-            train_adversarial(model, ShapedReward(networks, scenes.scale), splits.train, settings, seed, progress)
+            shaped, planning = ShapedReward(networks, scenes.scale), StructuredReward(learner_reward(config))
+            train_adversarial(model, shaped, splits.train, settings, seed, progress, planning)
         case AdversarialSettings() as settings:
             reward = StructuredReward.with_weights(
                 with_fixed_rationality(learner_reward(config)), settings.weights or {}
