@@ -125,6 +125,11 @@ RECORDED_ROWS = (
     Row("NRI", "_nri", "NRI", ("table2",), defined_types=False),
     Row("Supervised", "_supervised", "Supervised", ("table2",), transfers=True),
 )
+PRIOR_ROWS = (
+    Row("GRI, flat prior", "_flat", "GRI", ("table2",), uses_reward=True),
+    Row("NRI + prior", "_nri_prior", "NRI", ("table2",), defined_types=False),
+)
+"""Of recorded scenes. "GRI" has the structured prior, "NRI" the flat one; these rows have it the other way round."""
 IDM = Row("IDM, calibrated", "_idm", None, ("table2",), calibrated=True, transfers=True)
 
 SYNTHETIC_ROWS = (*ROWS, *EQUAL_TERMS_ROWS)
@@ -149,7 +154,7 @@ SCENARIOS = (
         "Recorded car following (NGSIM)",
         "ngsim_car_following",
         X_V,
-        (IDM, *RECORDED_ROWS),
+        (IDM, *RECORDED_ROWS, *PRIOR_ROWS),
         recorded=NGSIM_CAR_FOLLOWING,
     ),
     Scenario(
@@ -157,7 +162,7 @@ SCENARIOS = (
         "Recorded lane changing (NGSIM)",
         "ngsim_lane_changing",
         X_Y_V,
-        RECORDED_ROWS,
+        (*RECORDED_ROWS, *PRIOR_ROWS),
         recorded=NGSIM_LANE_CHANGING,
         cross_validation=CrossValidation(),
     ),

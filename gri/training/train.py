@@ -8,9 +8,13 @@ from typing import Any
 
 import msgspec
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from gri.config import read_yaml
 from gri.core.graph import EdgeType, pairs
+from gri.core.scenes import Scenes
+from gri.data.ranges.car_following import RANGES
 from gri.data.store import DataConfig, Splits
 from gri.data.synthetic import expert
 from gri.errors import InputError
@@ -25,7 +29,7 @@ from gri.training.adversarial.airl import AdversarialSettings, train_adversarial
 from gri.training.baselines.nri import NriSettings, train_nri
 from gri.training.baselines.supervised import SupervisedSettings, train_supervised
 from gri.training.grounded.labelled_encoder import LabelledEncoderSettings, train_labelled_encoder
-from gri.training.grounded.recorded_traffic import RecordedSettings, train_recorded
+from gri.training.grounded.recorded_traffic import RecordedSettings, recorded_prior, train_recorded
 from gri.training.grounded.settings import GroundedSettings
 from gri.training.grounded.train_grounded import train_grounded
 
@@ -73,6 +77,12 @@ def read_train_config(path: Path | str) -> TrainConfig:
             raise InputError(f"{path}: field data.{field}: got {getattr(config.data, field)}, wanted 1 or more scenes")
     if isinstance(config.objective, AdversarialSettings):
         _check_adversarial(path, config.objective)
+    if isinstance(config.objective, NriSettings) and config.objective.structured_prior and not config.data.recorded:
+        got = f"got it for range {config.data.range}, wanted scenes of recorded traffic; leave it out"
+        raise InputError(f"{path}: field objective.structured_prior: {got}")
+    if config.reward and config.data.range not in RANGES:
+        got = f"got it for range {config.data.range}, wanted one of {', '.join(RANGES)}; leave it out"
+        raise InputError(f"{path}: field reward: {got}")
     return config
 
 
@@ -141,7 +151,8 @@ def train(config: TrainConfig, splits: Splits, seed: int, progress: Progress = n
             reward = StructuredReward(learner_reward(config))
             train_labelled_encoder(model, reward, splits.train, settings, seed, progress)
         case NriSettings() as settings:
-            train_nri(model, splits.train, settings, seed, progress)
+            priors = _structured_prior(config, settings, splits.train) if settings.structured_prior else None
+            train_nri(model, splits.train, settings, seed, progress, priors)
         case AdversarialSettings(rewards="networks") as settings:
             networks = NetworkReward(scenes.scale, model.config.vocabulary)
             shaped, planning = ShapedReward(networks, scenes.scale), StructuredReward(learner_reward(config))
@@ -152,6 +163,12 @@ def train(config: TrainConfig, splits: Splits, seed: int, progress: Progress = n
             )
             train_adversarial(model, ShapedReward(reward, scenes.scale), splits.train, settings, seed, progress)
     return Trained(model.requires_grad_(False).eval(), reward, _provenance(config, seed, started, model, splits))
+
+
+def _structured_prior(config: TrainConfig, settings: NriSettings, scenes: Scenes) -> Float[Tensor, "S E K"]:
+    """The prior of grounded training on recorded traffic, with the odds of the bottleneck."""
+    odds = GroundedSettings(no_edge_prior=settings.bottleneck.no_edge_prior, ahead_only=True)
+    return recorded_prior(StructuredReward(learner_reward(config)), scenes.state, RecordedSettings(grounded=odds))
 
 
 def _provenance(

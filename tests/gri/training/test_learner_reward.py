@@ -1,6 +1,7 @@
 """The learner's reward and the expert's: what they share, and what the learner is told."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import msgspec
 import pytest
@@ -9,6 +10,7 @@ from gri.data import store
 from gri.data.ranges.car_following import PAPER
 from gri.data.store import DataConfig
 from gri.data.synthetic.expert import true_reward
+from gri.errors import InputError
 from gri.paper.rows import SCENARIOS, config_of
 from gri.rewards.car_following_features import FollowingConstants
 from gri.rewards.structured import AssumedReward, StructuredReward
@@ -61,7 +63,7 @@ def test_what_is_assumed_does_not_change_with_the_expert(monkeypatch: pytest.Mon
     assert learner_reward(config()) == reward
 
 
-def test_the_configuration_of_a_learner_is_read_from_yaml(tmp_path):
+def test_the_configuration_of_a_learner_is_read_from_yaml(tmp_path: Path):
     path = tmp_path / "wrong.yaml"
     path.write_text(
         "name: wrong\ndata: {range: paper, graphs: one}\nobjective: {type: gri}\n"
@@ -74,3 +76,23 @@ def test_configurations_without_the_field_are_written_as_before():
     assert "reward" not in msgspec.to_builtins(config())
     assert "expert" not in msgspec.to_builtins(DATA)
     assert "constants" not in msgspec.to_builtins(GroundedSettings())
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (
+            "data: {range: lane_changing, graphs: one}\nobjective: {type: gri}\nreward: {type: assumed}\n",
+            "field reward: got it for range lane_changing, wanted one of paper, us101",
+        ),
+        (
+            "data: {range: paper, graphs: one}\nobjective: {type: nri, structured_prior: true}\n",
+            r"field objective\.structured_prior: got it for range paper, wanted scenes of recorded traffic",
+        ),
+    ],
+)
+def test_fields_that_would_have_no_effect_are_refused(tmp_path: Path, content: str, message: str):
+    path = tmp_path / "own.yaml"
+    path.write_text(f"name: own\n{content}")
+    with pytest.raises(InputError, match=message):
+        read_train_config(path)
