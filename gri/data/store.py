@@ -23,7 +23,12 @@ from gri.data.recorded import recorded_scenes
 from gri.data.synthetic.expert import Range, make_idm_scenes, make_scenes, train_expert
 from gri.data.synthetic.idm_drivers import IdmExpert
 from gri.data.synthetic.optimal_drivers import make_highway_scenes
-from gri.data.synthetic.shifted_starts import ShiftedStarts, make_shifted_scenes
+from gri.data.synthetic.optimal_followers import (
+    OptimalExpert,
+    ShiftedStarts,
+    make_optimal_scenes,
+    make_shifted_scenes,
+)
 from gri.errors import InputError
 from gri.progress import Progress, no_progress
 
@@ -46,7 +51,7 @@ class DataConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     expert_updates: int = 1500
     action_noise: float = 0.0
     """Standard deviation of independent noise on the expert's jerk [m/s³]."""
-    expert: IdmExpert | msgspec.UnsetType = msgspec.UNSET
+    expert: IdmExpert | OptimalExpert | msgspec.UnsetType = msgspec.UNSET
     """Drivers of synthetic car following. Not set: a policy that was trained to maximise the true reward."""
     shifted: ShiftedStarts | msgspec.UnsetType = msgspec.UNSET
     """Demonstrations from shifted starts that are added to the training scenes of synthetic car following."""
@@ -164,9 +169,9 @@ def _make_scenes(config: DataConfig, path: Path, progress: Progress) -> Scenes:
     if config.expert:
         if not isinstance(scenes, SceneRange):
             raise InputError(
-                f"field data.expert: got IDM drivers for range {config.range}, wanted range paper or us101"
+                f"field data.expert: got another expert for range {config.range}, wanted range paper or us101"
             )
-        made = make_idm_scenes(config.expert, scenes, shares, count, config.seed + 1, config.action_noise)
+        made = _scenes_of_expert(config.expert, config, scenes, count)
     elif isinstance(scenes, HighwayMergeRange):
         made = make_highway_scenes(scenes, config.graphs, count, config.seed, progress)
     else:
@@ -174,6 +179,19 @@ def _make_scenes(config: DataConfig, path: Path, progress: Progress) -> Scenes:
         made = make_scenes(expert, scenes, shares, count, config.seed + 1, config.action_noise)
     write_scenes(path, made)
     return made
+
+
+def _scenes_of_expert(drivers: IdmExpert | OptimalExpert, config: DataConfig, scenes: SceneRange, count: int) -> Scenes:
+    match drivers:
+        case IdmExpert():
+            return make_idm_scenes(drivers, scenes, config.shares, count, config.seed + 1, config.action_noise)
+        case OptimalExpert():
+            if config.action_noise:
+                raise InputError(
+                    "field data.action_noise: got noise for optimal drivers, who plan ahead and do not react to it; "
+                    "leave it out"
+                )
+            return make_optimal_scenes(drivers, scenes, config.shares, count, config.seed + 1)
 
 
 def write_scenes(path: Path, scenes: Scenes) -> None:

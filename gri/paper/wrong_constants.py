@@ -21,6 +21,7 @@ from gri.core.graph import pairs
 from gri.core.scenes import Scenes
 from gri.data.store import DataConfig, Splits, scenes_of
 from gri.data.synthetic.idm_drivers import IdmExpert
+from gri.data.synthetic.optimal_followers import OptimalExpert
 from gri.errors import InputError
 from gri.networks.model import RelationalModel
 from gri.paper.job_cache import cached
@@ -37,10 +38,11 @@ EXPERTS = {
     "policy": DataConfig(range="paper", graphs="one", train=10000, test=1000),
     "noisy": DataConfig(range="paper", graphs="one", train=10000, test=1000, action_noise=0.3),
     "mixed": DataConfig(range="paper", graphs="mixed", train=10000, test=1000),
+    "optimal, mixed": DataConfig(range="paper", graphs="mixed", train=200, test=500, expert=OptimalExpert()),
     "idm": DataConfig(range="paper", graphs="one", train=10000, test=1000, expert=IdmExpert()),
 }
-"""Scenes by name: the paper's expert, the same with noise of 0.3 m/s³ on its jerk, the same on six true graphs, and
-IDM drivers."""
+"""Scenes by name: the paper's expert, the same with noise of 0.3 m/s³ on its jerk, the same on six true graphs, optimal
+drivers on six true graphs (no network), and IDM drivers."""
 SETTINGS = GroundedSettings(likelihood="stepwise", reward_prior=0.01)
 """Likelihood and priors of the posterior."""
 
@@ -106,7 +108,7 @@ def measure(
             return measure_case(data, case, seed, scenes_folder)
 
         try:
-            result = cached(cache, f"constants-{name}", content, compute)
+            result = cached(cache, f"constants-{name.replace(', ', '-')}", content, compute)
         except _NotFinishedError:
             continue
         lines.append({"expert": name, "constants": case.name, "seed": seed} | result)
@@ -182,7 +184,7 @@ def page(frame: pd.DataFrame) -> str:
         assert isinstance(true, FollowingConstants)
         header = ["constants", "untrained", "trained", "strangers, untrained", "strangers, trained"]
         header += [*(f"learned {name} (true {getattr(true, name):g})" for name in SHOWN), "seeds", "CPU s"]
-        if data.expert:
+        if isinstance(data.expert, IdmExpert):
             header = [title.partition(" (true")[0] for title in header]  # IDM drivers have none of these constants
         cells = [_cells(case.name, ours[ours["constants"] == case.name]) for case in CASES]
         empty = ["empty graph", f"{100 * ours['empty_graph'].iloc[0]:.1f}", *["–"] * (len(header) - 2)]

@@ -73,5 +73,5 @@ def test_the_store_makes_them_and_refuses_lanes(tmp_path: Path):
     made = scenes_of(data, tmp_path)
     assert len(made.train) == 5
     assert torch.equal(scenes_of(data, tmp_path).test.state, made.test.state)
-    with pytest.raises(InputError, match=r"data\.expert: got IDM drivers for range lane_changing"):
+    with pytest.raises(InputError, match=r"data\.expert: got another expert for range lane_changing"):
         scenes_of(DataConfig(range="lane_changing", graphs="one", train=1, expert=IdmExpert()), tmp_path)

@@ -1,8 +1,11 @@
-"""Demonstrations from shifted starts, for baselines that cannot maximise a reward off the data.
+"""Car-following scenes in which every driver plays its best response to the true reward; no policy is trained.
 
-Grounded training rolls its policy out from starts that cover the tested headways. These scenes give a baseline the same
-starts, with the best response to the true reward under the true graph. That is more than grounded training gets: it
-maximises the reward that it has learned.
+`OptimalExpert` makes all scenes of a data set in this way: experts that are not a network of the student's class.
+
+`ShiftedStarts` are demonstrations for baselines that cannot maximise a reward off the data. Grounded training rolls its
+policy out from starts that cover the tested headways. These scenes give a baseline the same starts, with the best
+response to the true reward under the true graph. That is more than grounded training gets: it maximises the reward that
+it has learned.
 """
 
 import msgspec
@@ -19,6 +22,13 @@ from gri.planning.best_response import initial_actions
 from gri.planning.ilqr import ControlProblem, maximise_ilqr
 
 
+class OptimalExpert(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="optimal"):
+    """Drivers that foresee the others and maximise the true reward."""
+
+    beyond: int = 15
+    """Steps added to the horizon that are cut off again: the actions do not depend on the end of the scene."""
+
+
 class ShiftedStarts(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Number of demonstrations and range of the shifts."""
 
@@ -26,13 +36,21 @@ class ShiftedStarts(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     position: tuple[float, float] = (0.0, 30.0)
     """Uniform shift of each driven vehicle along the road, in half of the scenes [m]."""
     beyond: int = 15
-    """Steps added to the horizon that are cut off again: the actions do not depend on the end of the scene."""
+    """As in `OptimalExpert`."""
 
 
 SWEEPS = 2
 """Passes over both driven vehicles."""
 FIRST_ITERATIONS, ITERATIONS = 6, 12
 """Newton steps from every initial guess, and from the best of them."""
+
+
+def make_optimal_scenes(
+    expert: OptimalExpert, scenes: SceneRange, graphs: tuple[GraphShare, ...], count: int, seed: int
+) -> Scenes:
+    """`count` scenes of optimal drivers from the starts of the range."""
+    unshifted = ShiftedStarts(scenes=count, position=(0.0, 0.0), beyond=expert.beyond)
+    return make_shifted_scenes(unshifted, scenes, graphs, seed)
 
 
 @torch.no_grad()

@@ -8,7 +8,7 @@ from gri.core.dynamics import POINT_MASS_1D
 from gri.data.ranges.car_following import PAPER
 from gri.data.store import DataConfig, scenes_of
 from gri.data.synthetic.expert import returns, true_reward
-from gri.data.synthetic.shifted_starts import ShiftedStarts, make_shifted_scenes
+from gri.data.synthetic.optimal_followers import OptimalExpert, ShiftedStarts, make_shifted_scenes
 from gri.errors import InputError
 
 SHIFTED = ShiftedStarts(scenes=12, position=(0.0, 12.0), beyond=5)
@@ -46,3 +46,13 @@ def test_the_store_adds_them_to_the_training_scenes_only(tmp_path: Path):
     lanes = DataConfig(range="lane_changing", graphs="one", shifted=SHIFTED)
     with pytest.raises(InputError, match=r"data\.shifted: got it for range lane_changing"):
         scenes_of(lanes, tmp_path)
+
+
+def test_optimal_drivers_are_an_expert_without_noise(tmp_path: Path):
+    data = DataConfig(range="paper", graphs="mixed", train=4, validation=1, test=2, expert=OptimalExpert(beyond=1))
+    made = scenes_of(data, tmp_path)
+    assert len(made.train) == 4
+    headway = made.train.state[:, 1, 0, 0] - made.train.state[:, 0, 0, 0]
+    assert bool(((headway > 4) & (headway < 8)).all())
+    with pytest.raises(InputError, match=r"data\.action_noise: got noise for optimal drivers"):
+        scenes_of(msgspec.structs.replace(data, action_noise=0.1), tmp_path)
