@@ -20,7 +20,7 @@ from gri.core.graph import FOLLOWING
 from gri.errors import InputError
 from gri.networks.model import ModelConfig, RelationalModel
 from gri.resources import find_checkpoint
-from gri.rewards.structured import LaneRewardConfig, NaturalisticConfig, RewardConfig, StructuredReward
+from gri.rewards.structured import AssumedReward, LaneRewardConfig, NaturalisticConfig, RewardConfig, StructuredReward
 
 FORMAT = "gri-checkpoint"
 VERSION = 1
@@ -106,7 +106,7 @@ def load_reward(path: Path | str) -> StructuredReward | None:
         return None
     kind = RewardConfig if tuple(content["vocabulary"]) == FOLLOWING else LaneRewardConfig
     if "type" in msgspec.json.decode(content["reward_config"]):
-        kind = NaturalisticConfig
+        kind = NaturalisticConfig | AssumedReward
     reward = StructuredReward(_decoded(content["reward_config"], kind, path))
     reward.load_state_dict(content["reward_tensors"])
     return reward.requires_grad_(False).eval()
@@ -141,7 +141,7 @@ def _read(path: Path | str) -> dict[str, Any]:
     return content
 
 
-def _decoded(text: str, kind: type, path: Path | str) -> Any:
+def _decoded(text: str, kind: Any, path: Path | str) -> Any:
     try:
         return msgspec.json.decode(text, type=kind)
     except msgspec.DecodeError as error:

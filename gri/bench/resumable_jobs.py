@@ -15,7 +15,8 @@ import pandas as pd
 from gri.errors import InputError
 from gri.progress import Progress
 
-S, A = TypeVar("S"), TypeVar("A")
+S = TypeVar("S")
+A = TypeVar("A")
 Key = TypeVarTuple("Key")
 KEYS = ["row", "given", "set", "kind", "score"]
 

@@ -9,7 +9,15 @@ from gri.commands.models import SCENES, one_thread
 from gri.errors import InputError
 from gri.terminal import ProgressDisplay, next_command, notice, say
 
-TARGETS = ("table1", "table2", "table3", "ood", "figures")  # those of `gri.paper`, which imports torch; a test compares
+TARGETS = (
+    "table1",
+    "table2",
+    "table3",
+    "ood",
+    "figures",
+    "equal_terms",
+    "constants",
+)  # those of `gri.paper`, which imports torch; a test compares
 
 
 def reproduce(

@@ -14,14 +14,21 @@ import torch
 
 from gri.core.scenes import Scenes
 from gri.data.mixture import mix_scenes
-from gri.data.ranges.car_following import RANGES
+from gri.data.ranges.car_following import RANGES, SceneRange
 from gri.data.ranges.graph_shares import GraphShare
 from gri.data.ranges.highway_merge import HIGHWAY_MERGE, HighwayMergeRange
 from gri.data.ranges.lane_changing import LANE_CHANGING_SCENES
 from gri.data.ranges.recorded import RECORDED, SUMO_CAR_FOLLOWING, SUMO_MERGE, RecordedRange
 from gri.data.recorded import recorded_scenes
-from gri.data.synthetic.expert import Range, make_scenes, train_expert
+from gri.data.synthetic.expert import Range, make_idm_scenes, make_scenes, train_expert
+from gri.data.synthetic.idm_drivers import IdmExpert
 from gri.data.synthetic.optimal_drivers import make_highway_scenes
+from gri.data.synthetic.optimal_followers import (
+    OptimalExpert,
+    ShiftedStarts,
+    make_optimal_scenes,
+    make_shifted_scenes,
+)
 from gri.errors import InputError
 from gri.progress import Progress, no_progress
 
@@ -44,6 +51,10 @@ class DataConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
     expert_updates: int = 1500
     action_noise: float = 0.0
     """Standard deviation of independent noise on the expert's jerk [m/s³]."""
+    expert: IdmExpert | OptimalExpert | msgspec.UnsetType = msgspec.UNSET
+    """Drivers of synthetic car following. Not set: a policy that was trained to maximise the true reward."""
+    shifted: ShiftedStarts | msgspec.UnsetType = msgspec.UNSET
+    """Demonstrations from shifted starts that are added to the training scenes of synthetic car following."""
     files: tuple[str, ...] | msgspec.UnsetType = msgspec.UNSET
     """Scene files from recorded traffic or SUMO. Without them, the file in the folder of scenes is read.
 
@@ -100,6 +111,8 @@ def scenes_of(config: DataConfig, folder: Path, progress: Progress = no_progress
 
     Errors: `InputError` if a scene file is missing or unreadable, has an empty split, or does not fit the range.
     """
+    if config.shifted:
+        return _with_shifted(config, config.shifted, folder, progress)
     path, files = scenes_path(config, folder), [Path(file) for file in config.files or ()]
     file_range = config.scene_file_range
     if config.recorded is not None:
@@ -119,6 +132,23 @@ def scenes_of(config: DataConfig, folder: Path, progress: Progress = no_progress
     return Splits(*(mix_scenes(part, vars(from_files)[name]) for name, part in vars(splits).items()))
 
 
+def _with_shifted(config: DataConfig, shifted: ShiftedStarts, folder: Path, progress: Progress) -> Splits:
+    """The splits without shifted starts, with the demonstrations from shifted starts after the training scenes."""
+    scenes = config.scene_range if config.recorded is None else None
+    if not isinstance(scenes, SceneRange) or config.expert or config.files:
+        raise InputError(
+            f"field data.shifted: got it for range {config.range}, wanted range paper or us101 without expert and files"
+        )
+    splits = scenes_of(msgspec.structs.replace(config, shifted=msgspec.UNSET), folder, progress)
+    content = msgspec.json.encode([shifted, scenes, config.shares, config.seed])
+    path = folder / f"{config.range}-{config.graphs}-shifted-{hashlib.sha256(content).hexdigest()[:10]}.npz"
+    if not path.is_file():
+        write_scenes(path, make_shifted_scenes(shifted, scenes, config.shares, config.seed + 2))
+    added, train = read_scenes(path), splits.train
+    joined = (torch.cat([getattr(train, name), getattr(added, name)]) for name in ("state", "action", "graph"))
+    return Splits(Scenes(*joined), splits.validation, splits.test)
+
+
 def recorded_splits(scenes: RecordedRange, paths: Sequence[Path]) -> Splits:
     """The splits of scene files. Errors: `InputError` if a file is missing or unreadable, or a split is empty."""
     _check_files_exist(scenes, paths)
@@ -136,13 +166,32 @@ def _check_files_exist(scenes: RecordedRange, paths: Sequence[Path]) -> None:
 def _make_scenes(config: DataConfig, path: Path, progress: Progress) -> Scenes:
     scenes, shares = config.scene_range, config.shares
     count = config.train + config.validation + config.test
-    if isinstance(scenes, HighwayMergeRange):
+    if config.expert:
+        if not isinstance(scenes, SceneRange):
+            raise InputError(
+                f"field data.expert: got another expert for range {config.range}, wanted range paper or us101"
+            )
+        made = _scenes_of_expert(config.expert, config, scenes, count)
+    elif isinstance(scenes, HighwayMergeRange):
         made = make_highway_scenes(scenes, config.graphs, count, config.seed, progress)
     else:
         expert = train_expert(scenes, shares, config.seed, config.expert_updates, progress=progress)
         made = make_scenes(expert, scenes, shares, count, config.seed + 1, config.action_noise)
     write_scenes(path, made)
     return made
+
+
+def _scenes_of_expert(drivers: IdmExpert | OptimalExpert, config: DataConfig, scenes: SceneRange, count: int) -> Scenes:
+    match drivers:
+        case IdmExpert():
+            return make_idm_scenes(drivers, scenes, config.shares, count, config.seed + 1, config.action_noise)
+        case OptimalExpert():
+            if config.action_noise:
+                raise InputError(
+                    "field data.action_noise: got noise for optimal drivers, who plan ahead and do not react to it; "
+                    "leave it out"
+                )
+            return make_optimal_scenes(drivers, scenes, config.shares, count, config.seed + 1)
 
 
 def write_scenes(path: Path, scenes: Scenes) -> None:

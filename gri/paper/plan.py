@@ -19,17 +19,20 @@ from gri.paper.run_jobs import run_in_processes
 from gri.progress import Progress, no_progress
 from gri.training.adversarial.airl import AdversarialSettings
 from gri.training.fine_tuning import FineTuning
+from gri.training.grounded.constants_search import ConstantsSearch
 from gri.training.grounded.recorded_traffic import RecordedSettings
 from gri.training.grounded.settings import GroundedSettings
 from gri.training.train import Objective
 
-Target = Literal["table1", "table2", "table3", "ood", "figures"]
+Target = Literal["table1", "table2", "table3", "ood", "figures", "equal_terms", "constants"]
 TABLES: dict[Target, tuple[str, ...]] = {
     "table1": ("table1",),
     "table3": ("table3",),
     "ood": ("ood",),
     "figures": ("table1", "table3", "ood"),
     "table2": ("table2",),
+    "equal_terms": ("equal_terms",),
+    "constants": (),
 }
 """The tables whose rows a target needs."""
 
@@ -117,6 +120,9 @@ def quick(job: Job) -> Job:
     if job.config is None:
         return replace(job, scenario=scenario)
     data = msgspec.structs.replace(job.config.data, train=200, validation=20, test=50, expert_updates=20)
+    if data.shifted:
+        shifted = msgspec.structs.replace(data.shifted, scenes=20, beyond=0)
+        data = msgspec.structs.replace(data, shifted=shifted)
     changed = {"name": f"{job.config.name}-quick", "data": data, "objective": _quick_objective(job.config.objective)}
     return replace(job, scenario=scenario, config=msgspec.structs.replace(job.config, **changed))
 
@@ -129,7 +135,8 @@ def _quick_objective(objective: Objective) -> Objective:
     objective = replaced(objective, updates=10)
     if isinstance(objective, GroundedSettings):
         optima = objective.optima and replaced(objective.optima, scenes=50)
-        return replaced(objective, planner_updates=10, optima=optima)
+        search = ConstantsSearch(draws=2, screening_scenes=4, scenes=8, rounds=((1, 2),), batch=4)
+        return replaced(objective, planner_updates=10, optima=optima, constants=search)
     if isinstance(objective, AdversarialSettings) and objective.start:
         optima = replaced(objective.start.plan.optima, scenes=50)
         plan = replaced(objective.start.plan, updates=10, optima=optima, imitation_updates=10)

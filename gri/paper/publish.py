@@ -13,7 +13,7 @@ import pandas as pd
 import torch
 
 from gri.data.scene_file.schema import header_of
-from gri.paper import figures, pages
+from gri.paper import figures, pages, wrong_constants
 from gri.paper.job_cache import Job, scenarios_of
 from gri.paper.plan import Plan, command, make
 from gri.paper.score_frames import areas, curve_frame, released, score_frame
@@ -27,6 +27,8 @@ def publish(plan: Plan, progress: Progress = no_progress) -> list[Path]:
     Each scenario of Table II has a folder of its own. Errors: `InputError` where the plan asks for what does not exist.
     """
     began = time.monotonic()
+    if plan.target == "constants":
+        return _publish_constants(plan, began, progress)
     jobs = make(plan, progress)
     if plan.target != "table2":
         return _publish(plan, jobs, began, progress)
@@ -39,7 +41,7 @@ def publish(plan: Plan, progress: Progress = no_progress) -> list[Path]:
 
 def _publish(plan: Plan, jobs: Sequence[Job], began: float, progress: Progress) -> list[Path]:
     cache, target = plan.cache, plan.target
-    if target in ("table1", "table3"):
+    if target in ("table1", "table3", "equal_terms"):
         scores = score_frame(jobs, cache)
         files = write_tables(plan, {target: released(scores)}, pages.score_page(target, jobs, cache, scores))
     elif target == "table2":
@@ -56,6 +58,25 @@ def _publish(plan: Plan, jobs: Sequence[Job], began: float, progress: Progress) 
             files = figures.draw(jobs, cache, plan.scenes_folder, curves, plan.out / "figures")
     path = plan.out / f"{target}.json"
     path.write_text(json.dumps(provenance(plan, jobs, began), indent=1) + "\n")
+    return [*files, path]
+
+
+def _publish_constants(plan: Plan, began: float, progress: Progress) -> list[Path]:
+    frame = wrong_constants.measure(
+        plan.seeds,
+        plan.test_scenes,
+        plan.cache,
+        plan.scenes_folder,
+        plan.scenario,
+        plan.rows,
+        plan.finished,
+        progress,
+    )
+    files = write_tables(plan, {"constants": frame}, wrong_constants.page(frame))
+    made = {"command": command(plan), "commit": commit(), "cpu_seconds": round(float(frame["cpu_seconds"].sum()), 1)}
+    made |= {"this_call_seconds": round(time.monotonic() - began, 1), "torch": str(torch.__version__)}
+    path = plan.out / "constants.json"
+    path.write_text(json.dumps(made | {"gri-cosim": version("gri-cosim")}, indent=1) + "\n")
     return [*files, path]
 
 

@@ -82,16 +82,41 @@ LANE_FLIPS = (
     Flip(0, 1, YIELD, CUT_IN, "order"),
 )
 ROWS = (
-    Row("GRI", "", "GRI", ("table1", "table3", "ood")),
-    Row("GRI (paper, contrast)", "_airl", "GRI", ("table1", "table3", "ood")),
-    Row("GRI (paper, literal)", "_airl_literal", "GRI", ("table1", "ood")),
-    Row("NRI", "_nri", "NRI", ("table1", "ood"), defined_types=False),
+    Row("GRI", "", "GRI", ("table1", "table3", "ood", "equal_terms")),
+    Row("GRI (paper, contrast)", "_airl", "GRI", ("table1", "table3", "ood", "equal_terms")),
+    Row("GRI (paper, literal)", "_airl_literal", "GRI", ("table1", "ood", "equal_terms")),
+    Row("NRI", "_nri", "NRI", ("table1", "ood", "equal_terms"), defined_types=False),
     Row("NRI, type 0 speaks", "_nri_type0", "NRI", ("table1", "ood"), defined_types=False),
-    Row("Supervised", "_supervised", "Supervised", ("table1", "ood")),
+    Row("Supervised", "_supervised", "Supervised", ("table1", "ood", "equal_terms")),
     Row("GRI, recurrent decoder", "_recurrent", "GRI", ("table1",)),
     Row("GRI, tested range held out", "_strict", "GRI", ("ood",)),
-    Row("GRI-VAIRL", "_gri_vairl", "GRI-VAIRL", ("table3", "ood"), defined_types=False),
-    Row("GRI-AIRL", "_gri_airl", "GRI-AIRL", ("table3", "ood"), defined_types=False),
+    Row("GRI-VAIRL", "_gri_vairl", "GRI-VAIRL", ("table3", "ood", "equal_terms"), defined_types=False),
+    Row("GRI-AIRL", "_gri_airl", "GRI-AIRL", ("table3", "ood", "equal_terms"), defined_types=False),
+)
+EQUAL = ("equal_terms",)
+EQUAL_TERMS_ROWS = (
+    Row("GRI (paper, contrast), literal weights", "_airl_with_literal", "GRI", EQUAL),
+    Row("GRI (paper, contrast), networks (VAIRL)", "_airl_with_networks", "GRI-VAIRL", EQUAL, defined_types=False),
+    Row(
+        "GRI (paper, contrast), networks, pairs alike (AIRL)",
+        "_airl_with_networks_all_alike",
+        "GRI-AIRL",
+        EQUAL,
+        defined_types=False,
+    ),
+    Row("NRI, bottleneck rate 1", "_nri_rate1", "NRI", EQUAL, defined_types=False),
+    Row("NRI + shifted demonstrations", "_nri_shifted", "NRI", EQUAL, defined_types=False),
+    Row("Supervised + shifted demonstrations", "_supervised_shifted", "Supervised", EQUAL),
+    Row("GRI, constants x2, learned", "_constants_x2", "GRI", EQUAL),
+    Row("GRI, constants x2, untrained reward", "_constants_x2_untrained", "GRI", EQUAL),
+)
+"""Each differs from another row in what its name says (docs/equal-terms.md)."""
+OTHER_EXPERT_ROWS = (
+    Row("GRI", "", None, EQUAL),
+    Row("GRI, constants x2, learned", "_constants_x2", None, EQUAL),
+    Row("GRI (paper, contrast)", "_airl", None, EQUAL),
+    Row("NRI", "_nri", None, EQUAL, defined_types=False),
+    Row("Supervised", "_supervised", None, EQUAL),
 )
 MIXED_ROWS = (Row("GRI", "", None), Row("GRI (paper, contrast)", "_airl", None), Row("Supervised", "_supervised", None))
 RECORDED_ROWS = (
@@ -100,21 +125,36 @@ RECORDED_ROWS = (
     Row("NRI", "_nri", "NRI", ("table2",), defined_types=False),
     Row("Supervised", "_supervised", "Supervised", ("table2",), transfers=True),
 )
+PRIOR_ROWS = (
+    Row("GRI, flat prior", "_flat", "GRI", ("table2",), uses_reward=True),
+    Row("NRI + prior", "_nri_prior", "NRI", ("table2",), defined_types=False),
+)
+"""Of recorded scenes. "GRI" has the structured prior, "NRI" the flat one; these rows have it the other way round."""
 IDM = Row("IDM, calibrated", "_idm", None, ("table2",), calibrated=True, transfers=True)
 
+SYNTHETIC_ROWS = (*ROWS, *EQUAL_TERMS_ROWS)
 X_V, X_Y_V = ("x", "v"), ("x", "y", "v")
 MIXED = "the true graph differs from scene to scene"
 SCENARIOS = (
-    Scenario("car_following", "Car following", "paper_car_following", X_V, ROWS, flips=FOLLOWING_FLIPS),
+    Scenario("car_following", "Car following", "paper_car_following", X_V, SYNTHETIC_ROWS, flips=FOLLOWING_FLIPS),
     Scenario("car_following_mixed", f"Car following, {MIXED}", "paper_car_following_mixed", X_V, MIXED_ROWS),
-    Scenario("lane_changing", "Lane changing", "lane_changing", X_Y_V, ROWS, LANE_PROTOCOL, LANE_FLIPS),
+    Scenario("lane_changing", "Lane changing", "lane_changing", X_Y_V, SYNTHETIC_ROWS, LANE_PROTOCOL, LANE_FLIPS),
     Scenario("lane_changing_mixed", f"Lane changing, {MIXED}", "lane_changing_mixed", X_Y_V, MIXED_ROWS, LANE_PROTOCOL),
+    Scenario(
+        "car_following_noise",
+        "Car following, expert with noise",
+        "paper_car_following_noise",
+        X_V,
+        OTHER_EXPERT_ROWS,
+        flips=FOLLOWING_FLIPS,
+    ),
+    Scenario("car_following_idm", "Car following, IDM drivers", "paper_car_following_idm", X_V, OTHER_EXPERT_ROWS),
     Scenario(
         "ngsim_car_following",
         "Recorded car following (NGSIM)",
         "ngsim_car_following",
         X_V,
-        (IDM, *RECORDED_ROWS),
+        (IDM, *RECORDED_ROWS, *PRIOR_ROWS),
         recorded=NGSIM_CAR_FOLLOWING,
     ),
     Scenario(
@@ -122,7 +162,7 @@ SCENARIOS = (
         "Recorded lane changing (NGSIM)",
         "ngsim_lane_changing",
         X_Y_V,
-        RECORDED_ROWS,
+        (*RECORDED_ROWS, *PRIOR_ROWS),
         recorded=NGSIM_LANE_CHANGING,
         cross_validation=CrossValidation(),
     ),

@@ -16,7 +16,7 @@ from gri.evaluation import out_of_distribution as ood
 from gri.evaluation.evaluate import driving_graph
 from gri.networks.model import RelationalModel
 from gri.paper.job_cache import VERSION, Job, cached
-from gri.rewards.structured import StructuredReward
+from gri.rewards.structured import AssumedReward, StructuredReward
 from gri.training.adversarial.airl import AdversarialSettings
 
 SAMPLES = 20
@@ -33,7 +33,8 @@ def measure_model(
     graph = driving_graph(model, scenes)
     states, types = diagnostics.reconstruct(model, scenes), forced_types(job, model, graph.map)
     drive = ood.drive_by_policy(model, types, ranges.steps)
-    weights = None if reward is None else diagnostics.weights_beside_truth(reward, true_reward(ranges))
+    comparable = reward is not None and not isinstance(reward.config, AssumedReward) and not job.training.data.expert
+    weights = diagnostics.weights_beside_truth(reward, true_reward(ranges)) if reward and comparable else None
     return {
         "rmse": {
             name: metrics.rmse(states, scenes.state, model.dynamics.index(name)) for name in job.scenario.features
@@ -89,9 +90,10 @@ def std_along_horizon(job: Job, model: RelationalModel, splits: Splits) -> dict[
 def flip_agreements(job: Job, model: RelationalModel, scenes: Scenes, cache: Path) -> dict[str, Any] | None:
     """Share of scenes in which a changed edge type has the effect that it has in the optimum of the true reward.
 
-    None where scenes do not share one true graph, or the types of the model have no defined meaning.
+    None where scenes do not share one true graph, the types of the model have no defined meaning, or the drivers have
+    no reward.
     """
-    if not job.row.defined_types or job.training.data.graphs != "one":
+    if not job.row.defined_types or job.training.data.graphs != "one" or job.training.data.expert:
         return None
     optimal = optimal_changes(job, scenes, cache)
     shares = {

@@ -18,11 +18,12 @@ from gri.core.layers import edge_ends, incidence, mlp
 from gri.core.scale import Scale
 from gri.errors import InputError
 from gri.rewards.terms import AnyRewardConfig as AnyRewardConfig
+from gri.rewards.terms import AssumedReward as AssumedReward
 from gri.rewards.terms import LaneRewardConfig as LaneRewardConfig
 from gri.rewards.terms import NaturalisticConfig as NaturalisticConfig
 from gri.rewards.terms import RewardConfig as RewardConfig
 from gri.rewards.terms import Units as Units
-from gri.rewards.terms import references_of, terms_of
+from gri.rewards.terms import constants_of, references_of, terms_of
 from gri.rewards.unstructured import NetworkReward
 
 
@@ -36,7 +37,8 @@ class StructuredReward(nn.Module):
         super().__init__()
         self.config = config
         self.references = references_of(config)
-        self.terms, self.vocabulary = terms_of(config, self.references)
+        self.constants = constants_of(config)
+        self.terms, self.vocabulary = terms_of(config, self.references, self.constants)
         sizes = {"node": len(self.terms.node)} | {str(k): len(terms) for k, terms in self.terms.edge.items()}
         self.psi = nn.ParameterDict({name: nn.Parameter(torch.zeros(size)) for name, size in sizes.items()})
         self.log_alpha = nn.Parameter(torch.zeros(()))

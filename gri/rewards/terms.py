@@ -17,6 +17,7 @@ from gri.rewards import car_following_features
 from gri.rewards import lane_changing_features as lane
 from gri.rewards.car_following_features import FollowingConstants
 from gri.rewards.lane_changing_features import LaneConstants
+from gri.rewards.learned_constants import LearnedConstants
 from gri.rewards.recorded_traffic_features import ReferenceNetworks, References, collision_point, g_spatial, g_time
 
 NodeTerm = Callable[[Tensor, Tensor], Tensor]
@@ -56,6 +57,15 @@ class RewardConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     temperature: float = 1.0
 
 
+class AssumedReward(RewardConfig, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="assumed"):
+    """What a learner assumes of car-following drivers, independently of the drivers that made its scenes.
+
+    The constants are first values. With `learn`, they are parameters of the reward (`LearnedConstants`).
+    """
+
+    learn: bool = True
+
+
 class LaneUnits(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """Units of the lateral terms."""
 
@@ -80,12 +90,12 @@ class LaneRewardConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     temperature: float = 1.0
 
 
-def car_following_terms(config: RewardConfig) -> Terms:
+def car_following_terms(config: RewardConfig, learned: LearnedConstants | None = None) -> Terms:
     """Terms of synthetic car following (Sec. VI-C, without the lateral terms).
 
-    Vehicle alone: f_v, a², δa². Follow: g_IDM, g_dist.
+    Vehicle alone: f_v, a², δa². Follow: g_IDM, g_dist. `learned` takes the place of the configuration's constants.
     """
-    constants, units = config.constants, config.units
+    constants, units = learned or config.constants, config.units
     return Terms(
         node={
             "speed": lambda state, action: car_following_features.f_speed(state, constants) / units.speed**2,
@@ -220,13 +230,23 @@ def references_of(config: AnyRewardConfig) -> ReferenceNetworks | None:
     return ReferenceNetworks(config.references, config.lanes) if isinstance(config, NaturalisticConfig) else None
 
 
-def terms_of(config: AnyRewardConfig, references: ReferenceNetworks | None = None) -> tuple[Terms, Vocabulary]:
-    """The terms of a scenario, and its edge types. Rewards of recorded traffic need their `references`."""
+def constants_of(config: AnyRewardConfig) -> LearnedConstants | None:
+    """The constants of a reward that learns them; None for the other rewards."""
+    return LearnedConstants(config.constants) if isinstance(config, AssumedReward) and config.learn else None
+
+
+def terms_of(
+    config: AnyRewardConfig, references: ReferenceNetworks | None = None, constants: LearnedConstants | None = None
+) -> tuple[Terms, Vocabulary]:
+    """The terms of a scenario, and its edge types. Rewards of recorded traffic need their `references`.
+
+    `constants` are those of a reward that learns them.
+    """
     match config:
         case NaturalisticConfig():
             assert references is not None, "learned terms need their networks"
             return naturalistic_terms(config, references), YIELDING if config.lanes else FOLLOWING
         case RewardConfig():
-            return car_following_terms(config), FOLLOWING
+            return car_following_terms(config, constants), FOLLOWING
         case LaneRewardConfig():
             return lane_changing_terms(config), LANE_CHANGING

@@ -60,8 +60,10 @@ def action_error(
     return (((action - recorded) / unit) ** 2).mean()
 
 
-def categorical_kl(logits: Float[Tensor, "B E K"], prior: Float[Tensor, " K"]) -> Float[Tensor, "B E"]:
-    """KL[q(z_ij|τ) || p(z_ij)] of each edge [nats]."""
+def categorical_kl(
+    logits: Float[Tensor, "B E K"], prior: Float[Tensor, " K"] | Float[Tensor, "B E K"]
+) -> Float[Tensor, "B E"]:
+    """KL[q(z_ij|τ) || p(z_ij)] of each edge [nats]; the prior may differ between scenes and edges."""
     log_q = logits.log_softmax(-1)
     return (log_q.exp() * (log_q - prior.log())).sum(-1)
 

@@ -13,6 +13,8 @@ from gri.data.ranges.highway_states import sample_leader, sample_takeovers
 from gri.data.ranges.lane_changing import LaneChangingRange, sample_merge
 from gri.data.ranges.leader import leader_states, uniform
 from gri.data.ranges.recorded import RecordedRange
+from gri.data.synthetic import idm_drivers
+from gri.data.synthetic.idm_drivers import IdmExpert
 from gri.networks.decoder import DecoderConfig
 from gri.networks.encoder import EncoderConfig
 from gri.networks.model import Edge, ModelConfig, RelationalModel
@@ -188,3 +190,18 @@ def make_scenes(
     one_hot = torch.nn.functional.one_hot(types, len(scenes.vocabulary)).float()
     driven = rollout(expert, start, one_hot, leader, normal * spread / expert.decoder.sigma)
     return Scenes(driven.state, driven.action, types)
+
+
+def make_idm_scenes(
+    drivers: IdmExpert,
+    scenes: SceneRange,
+    graphs: tuple[GraphShare, ...],
+    count: int,
+    seed: int,
+    action_noise: float = 0.0,
+) -> Scenes:
+    """Scenes of IDM drivers from `count` random starts; `action_noise` as in `make_scenes`."""
+    generator = torch.Generator().manual_seed(seed)
+    start, leader = sample_row(scenes, count, generator)
+    types = sample_graphs(graphs, count, generator, scenes.vocabulary)
+    return idm_drivers.drive(drivers, start, leader, types, scenes.dt, action_noise, generator)

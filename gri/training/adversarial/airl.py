@@ -50,6 +50,10 @@ class PlannedStart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_o
     encoder_updates: int = 220
     """Updates of the encoder alone."""
     encoder_rate: float = 2e-3
+    on_semantic_reward: bool | msgspec.UnsetType = msgspec.UNSET
+    """Plan on the semantic reward where the game learns networks for rewards. Its ablations then begin with the same
+    policy as the game with semantic rewards; without an encoder, only the policy is pretrained.
+    """
 
 
 class AdversarialSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="airl"):
@@ -85,7 +89,7 @@ class AdversarialSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=Tru
     weights: dict[str, dict[str, float]] | None = None
     """Initial weights 1 + e^ψ of the named terms, by group ("node", "follow", ...) and term; None: 2 each."""
     start: PlannedStart | None = None
-    """Pretraining; None: none. Only for semantic rewards and inferred relations."""
+    """Pretraining; None: none. Without semantic rewards and inferred relations only with its `on_semantic_reward`."""
     bottleneck: Bottleneck = Bottleneck()
     rewards: Literal["semantic", "networks"] = "semantic"
     """`networks` replaces the named terms by neural networks: the ablation GRI-VAIRL (Appendix C)."""
@@ -131,14 +135,18 @@ def train_adversarial(
     settings: AdversarialSettings,
     seed: int,
     progress: Progress = no_progress,
+    planning: StructuredReward | None = None,
 ) -> None:
-    """Train the model and the reward in place. Encoder and reward are updated in turn with the policy."""
+    """Train the model and the reward in place. Encoder and reward are updated in turn with the policy.
+
+    The policy of a planned start is planned on the reward `planning`; None: on the initial reward of the game.
+    """
     generator = torch.Generator().manual_seed(seed)
     model.decoder.log_sigma.requires_grad_(False)
     learned = [p for name, p in reward.named_parameters() if not name.endswith("log_alpha")]
     inner = settings.updates * settings.reward_updates
     if settings.start is not None:
-        pretrain(model, reward, scenes, settings, settings.start, generator, progress)
+        pretrain(model, reward, scenes, settings, settings.start, generator, progress, planning)
     encoder = EncoderUpdates(model, settings, settings.encoder_rate, inner) if model.encoder else None
     reward_descent = Descent(learned, settings.reward_rate, inner)
     policy_descent = Descent(model.decoder.parameters(), settings.policy_rate, settings.updates, settings.policy_clip)
@@ -165,10 +173,14 @@ def pretrain(
     start: PlannedStart,
     generator: torch.Generator,
     progress: Progress = no_progress,
+    planning: StructuredReward | None = None,
 ) -> None:
-    """Pretrain policy and encoder in place. The reward stays unchanged."""
-    assert isinstance(reward.reward, StructuredReward), "got a reward of networks; planning needs a semantic one"
-    plan_by_imitation(model, reward.reward, scenes, start.plan, generator, progress)
+    """Pretrain policy and encoder in place. The rewards stay unchanged."""
+    planning = reward.reward if planning is None and isinstance(reward.reward, StructuredReward) else planning
+    assert planning is not None, "got a reward of networks; planning needs a semantic one"
+    plan_by_imitation(model, planning, scenes, start.plan, generator, progress)
+    if model.encoder is None:
+        return
     encoder = EncoderUpdates(model, settings, start.encoder_rate, start.encoder_updates)
     total = start.encoder_updates
     for update, chosen in enumerate(batches(len(scenes), settings.batch, total, generator)):

@@ -9,6 +9,8 @@ decoder determines it.
 
 import msgspec
 import torch
+from jaxtyping import Float
+from torch import Tensor
 
 from gri.core.scenes import Scenes
 from gri.networks.model import RelationalModel
@@ -38,12 +40,22 @@ class NriSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_on
     """Weight of the squared error of actions, in units of the scale, relative to that of states [m²]."""
     bottleneck: Bottleneck = Bottleneck(rate=0.05)
     """The rate is smaller than in the adversarial objective, whose loss is in nats per scene, not in m² per step."""
+    structured_prior: bool | msgspec.UnsetType = msgspec.UNSET
+    """Of recorded traffic: in the bottleneck, use the prior of grounded training, which allows few edges.
+
+    Its odds are those of `bottleneck.no_edge_prior`. The row is then called "+ prior".
+    """
 
 
 def train_nri(
-    model: RelationalModel, scenes: Scenes, settings: NriSettings, seed: int, progress: Progress = no_progress
+    model: RelationalModel,
+    scenes: Scenes,
+    settings: NriSettings,
+    seed: int,
+    progress: Progress = no_progress,
+    scene_priors: Float[Tensor, "S E K"] | None = None,
 ) -> None:
-    """Train the model in place. It must have an encoder."""
+    """Train the model in place. It must have an encoder. `scene_priors` take the place of the sparse prior."""
     assert model.encoder is not None, "got a model without an encoder; NRI infers graphs and needs one"
     generator = torch.Generator().manual_seed(seed)
     model.decoder.log_sigma.requires_grad_(False)
@@ -61,7 +73,7 @@ def train_nri(
             error = error + settings.action_weight * action_error(
                 driven.action, batch.action, model.decoder.action_unit
             )
-        kl = categorical_kl(graph.logits, prior).mean()
+        kl = categorical_kl(graph.logits, prior if scene_priors is None else scene_priors[chosen]).mean()
         beta = updated_beta(beta, float(kl.detach()), settings.bottleneck)
         loss = error + beta * kl
         gradients = encoder_descent.gradients(loss, retain_graph=True)

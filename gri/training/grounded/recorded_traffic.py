@@ -44,6 +44,8 @@ class RecordedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     """
     no_follow_prior: Annotated[float, msgspec.Meta(gt=0, lt=1)] | None = None
     """Prior probability that a vehicle does not follow its preceding vehicle; None: `grounded.no_edge_prior`."""
+    by_definition: bool | msgspec.UnsetType = msgspec.UNSET
+    """False: a flat prior, the same odds for every pair. Not set: what the definitions allow (`recorded_prior`)."""
     log_alpha: float = -1.5
     """Initial value of log α, the logarithm of the drivers' rationality. People are less exact than 0 implies."""
 
@@ -140,9 +142,11 @@ def recorded_prior(
     A vehicle can follow only its preceding vehicle in the same lane, and yield only to the preceding one in the
     adjacent lane. With `ahead_only`, preceding means the nearest vehicle of the lane that is ahead at the last step.
     Lanes are those of the first step. Longitudinal motion alone would hardly distinguish the two types. The prior does
-    not say which of the possible edges exist.
+    not say which of the possible edges exist. With `by_definition` false, all pairs have the sparse prior.
     """
     grounded = settings.grounded
+    if settings.by_definition is False:
+        return scene_prior(reward, state, grounded.no_edge_prior)
     prior = scene_prior(reward, state, grounded.no_edge_prior, grounded.ahead_only)
     senders, receivers = edge_ends(state.shape[1])
     lane = same_lane(reward, state)

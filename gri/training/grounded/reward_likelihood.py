@@ -15,6 +15,7 @@ from gri.planning.laplace_likelihood import Expansion, expand, log_likelihood
 from gri.planning.riccati_likelihood import StepExpansion, expand_steps, log_likelihood_by_steps
 from gri.progress import Progress, no_progress
 from gri.rewards.structured import StructuredReward
+from gri.training.grounded.constants_search import ConstantsSearch, search_constants
 from gri.training.grounded.settings import GroundedSettings
 from gri.training.optimisation import Descent, batches
 
@@ -27,7 +28,14 @@ def fit_reward(
     generator: torch.Generator,
     progress: Progress = no_progress,
 ) -> None:
-    """Fit the reward's weights and the rationality α in place: maximise Σ_j log Σ_z p(z_j)·p(u_j | z_j)."""
+    """Fit the reward's weights and the rationality α in place: maximise Σ_j log Σ_z p(z_j)·p(u_j | z_j).
+
+    A reward that learns its constants gets them too (`constants_search`).
+    """
+    if reward.constants is not None and settings.reward_updates:
+        search = settings.constants or ConstantsSearch()
+        prior = settings.reward_prior, settings.no_edge_prior
+        return search_constants(model, reward, scenes, search, *prior, generator, progress)
     chosen = torch.randperm(len(scenes), generator=generator)[: settings.reward_scenes]
     expansion = _expand(model, reward, scenes[chosen], settings)
     prior = combination_prior(reward, graph_prior(reward, scenes[chosen], settings), scenes.action.shape[1])

@@ -5,6 +5,7 @@ from typing import Literal
 import msgspec
 
 from gri.training.grounded.augmentation import Augmentation, Shifts
+from gri.training.grounded.constants_search import ConstantsSearch
 from gri.training.grounded.optimal_scenes import OptimaSettings
 
 
@@ -35,6 +36,11 @@ class GroundedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     """Weight of Σψ² relative to the mean log-likelihood per vehicle [nats].
 
     The weights of terms on which the scenes have little information, such as collisions, then stay near 2.
+    """
+    constants: ConstantsSearch | msgspec.UnsetType = msgspec.UNSET
+    """How the constants of a reward that learns them are searched; not set: as `ConstantsSearch` has it.
+
+    The search also finds weights and rationality; of the other settings of the reward only `reward_prior` applies.
     """
     updates: int = 1000
     batch: int = 64

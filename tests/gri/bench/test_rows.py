@@ -6,7 +6,7 @@ import msgspec
 import pytest
 import torch
 
-from gri.bench import reconstruction_rows, relations, reward_rows
+from gri.bench import reconstruction_rows, resumable_jobs, reward_rows
 from gri.bench.answers import ask
 from gri.bench.car_following_scenes import KnownScenes, SceneFamily, draw_scenes
 from gri.bench.driver_models import IDM, LINEAR, DriverModel
@@ -115,8 +115,8 @@ def test_nothing_is_inferred_from_scenes_that_were_not_seen(name, spoil):
 
 
 def test_a_row_without_its_module_is_left_out_and_the_page_says_so(tmp_path, monkeypatch):
-    monkeypatch.setattr(relations, "find_spec", lambda _: None)
-    assert [row.name for row in relations.left_out()] == ["PCMCI"]
+    monkeypatch.setattr(resumable_jobs, "find_spec", lambda _: None)
+    assert [row.name for row in resumable_jobs.left_out(ROWS)] == ["PCMCI"]
     assert "PCMCI" not in [row.name for row, _ in Plan(tmp_path).jobs()]
     with pytest.raises(InputError, match="tigramite is not installed; pip install 'gri-cosim"):
         run(Plan(tmp_path, rows=("PCMCI",)))

@@ -9,7 +9,7 @@ from gri.errors import InputError
 from gri.paper import pages
 from gri.paper.job_cache import Job, SceneFile
 from gri.paper.plan import Plan, command, jobs_of, make
-from gri.paper.rows import IDM, RECORDED_ROWS
+from gri.paper.rows import IDM, PRIOR_ROWS, RECORDED_ROWS
 
 FILE = SceneFile(Path("scenes.parquet"), "abc")
 SYNTHETIC = Plan("table1", 1, 20, scenario="car_following", quick=True)
@@ -31,7 +31,7 @@ def test_recorded_rows_come_seed_by_seed_and_transfers_last():
 
 def test_lane_changes_have_neither_idm_nor_transfers():
     jobs = jobs_of(LANES, FILE, ["a", "b"])
-    assert [job.row for job in jobs] == list(RECORDED_ROWS)
+    assert [job.row for job in jobs] == [*RECORDED_ROWS, *PRIOR_ROWS]
     assert {job.site for job in jobs} == {None}
 
 

@@ -65,15 +65,20 @@ QUICK_START = PlannedStart(
     plan=PlanSettings(updates=2, batch=4, optima=OptimaSettings(scenes=8, sweeps=1, iterations=1), imitation_updates=2),
     encoder_updates=2,
 )
+SEMANTIC_START = msgspec.structs.replace(QUICK_START, on_semantic_reward=True)
+ABLATION = AdversarialSettings(updates=2, batch=4, start=SEMANTIC_START, rewards="networks", expert_graph="likely")
 OBJECTIVES = [
     GroundedSettings(updates=2, reward_updates=2, batch=4, return_batch=4),
     AdversarialSettings(updates=2, reward_updates=2, batch=4),
     AdversarialSettings(updates=2, batch=4, start=QUICK_START, expert_graph="likely"),
+    ABLATION,
+    msgspec.structs.replace(ABLATION, relations="all_alike"),
     SupervisedSettings(updates=2, batch=4),
 ]
+IDS = ["gri", "airl", "planned_airl", "vairl", "airl_alike", "supervised"]
 
 
-@pytest.mark.parametrize("objective", OBJECTIVES, ids=["gri", "airl", "planned_airl", "supervised"])
+@pytest.mark.parametrize("objective", OBJECTIVES, ids=IDS)
 def test_the_same_seed_gives_the_same_model(objective: Objective, folder: Path):
     first, again, other = (train(config(objective, TINY), splits(TINY, folder), seed) for seed in (3, 3, 4))
     for name, tensor in first.model.state_dict().items():
@@ -81,7 +86,7 @@ def test_the_same_seed_gives_the_same_model(objective: Objective, folder: Path):
     assert not torch.equal(first.model.decoder.body.node[0].weight, other.model.decoder.body.node[0].weight)
 
 
-@pytest.mark.parametrize("objective", OBJECTIVES, ids=["gri", "airl", "planned_airl", "supervised"])
+@pytest.mark.parametrize("objective", OBJECTIVES, ids=IDS)
 def test_a_trained_model_survives_its_checkpoint(objective: Objective, folder: Path, tmp_path: Path):
     trained = train(config(objective, TINY), splits(TINY, folder), 0)
     checkpoint.save(tmp_path / "m.pt", trained.model, trained.reward, trained.provenance)

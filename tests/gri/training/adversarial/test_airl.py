@@ -1,12 +1,15 @@
 from math import log
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import pytest
 import torch
 from torch.nn.functional import softplus
 
 from gri.data.ranges.recorded import NGSIM_CAR_FOLLOWING
 from gri.errors import InputError
+from gri.resources import shipped
 from gri.rewards.structured import NaturalisticConfig, RewardConfig
 from gri.training.adversarial.airl import (
     FIXED_RATIONALITY,
@@ -80,6 +83,37 @@ def test_what_rewards_without_named_terms_have_no_use_for_is_refused(tmp_path: P
     path.write_text(f"name: own\ndata: {{range: paper, graphs: one}}\nobjective: {objective}\n")
     with pytest.raises(InputError, match=rf"own.yaml: field objective.{field}: got rewards: networks"):
         read_train_config(path)
+
+
+def test_ablations_may_begin_with_a_policy_that_is_planned_on_the_semantic_reward(tmp_path: Path):
+    path = tmp_path / "own.yaml"
+    objective = "{type: airl, rewards: networks, start: {on_semantic_reward: true}}"
+    path.write_text(f"name: own\ndata: {{range: paper, graphs: one}}\nobjective: {objective}\n")
+    assert read_train_config(path).objective.start.on_semantic_reward  # type: ignore[union-attr]
+
+
+def test_every_ablation_changes_one_thing_of_the_contrast_row():
+    for prefix in ("paper_car_following", "lane_changing"):
+        contrast, literal, networks, alike = (
+            msgspec.to_builtins(read_train_config(shipped("scenarios", "train", f"{prefix}_airl{suffix}.yaml")))
+            for suffix in ("", "_with_literal", "_with_networks", "_with_networks_all_alike")
+        )
+        assert changes(contrast, literal) == {"name", "objective.encoder"}
+        networks_only = {"name", "objective.rewards", "objective.start.on_semantic_reward"}
+        assert changes(contrast, networks) == networks_only
+        assert changes(networks, alike) == {"name", "objective.relations"}
+
+
+def changes(one: dict[str, Any], other: dict[str, Any], under: str = "") -> set[str]:
+    """Names of the fields whose values differ."""
+    found = set()
+    for name in one.keys() | other.keys():
+        before, after = one.get(name), other.get(name)
+        if isinstance(before, dict) and isinstance(after, dict):
+            found |= changes(before, after, f"{under}{name}.")
+        elif before != after:
+            found.add(under + name)
+    return found
 
 
 def test_rewards_of_recorded_traffic_are_scaled_in_the_game_and_others_are_not():

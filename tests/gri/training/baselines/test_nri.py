@@ -11,6 +11,7 @@ from gri.networks.encoder import EncoderConfig
 from gri.networks.model import RelationalModel
 from gri.rewards.unstructured import NetworkReward
 from gri.training.baselines.nri import NriSettings, train_nri
+from gri.training.optimisation import Bottleneck
 
 
 def scenes(count: int = 8) -> Scenes:
@@ -50,3 +51,16 @@ def test_network_rewards_pay_nothing_for_type_0_and_see_no_absolute_position(voc
     torch.testing.assert_close(reward.of_edges(sender + along, receiver + along), paid, atol=1e-4, rtol=1e-4)
     action = torch.randn(4, 1)
     torch.testing.assert_close(reward.of_vehicles(sender + along, action), reward.of_vehicles(sender, action))
+
+
+def test_edges_that_the_prior_of_the_scenes_excludes_are_not_inferred():
+    shares = []
+    for follow in (0.5, 1e-12):
+        torch.manual_seed(0)
+        model = RelationalModel(model_config(PAPER, DecoderConfig(hidden=8), EncoderConfig(hidden=8)))
+        priors = torch.tensor([1 - follow, follow]).repeat(8, 6, 1)
+        settings = NriSettings(updates=60, batch=8, encoder_rate=1e-2, bottleneck=Bottleneck(rate=10.0))
+        train_nri(model, scenes(), settings, 0, scene_priors=priors)
+        shares.append(float(model.infer(scenes().state).probs[..., 1].mean().detach()))
+    assert shares[0] > 0.1
+    assert shares[1] < 1e-3

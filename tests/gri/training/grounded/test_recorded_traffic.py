@@ -189,3 +189,10 @@ def test_in_car_following_only_the_next_vehicle_ahead_is_followed():
     nearest = recorded_traffic.recorded_prior(reward, data.state, ahead)
     follows = [0.1 if pair in ((1, 0), (2, 1)) else 0.0 for pair in pairs(3)]  # of three in a row, not 2 -> 0
     torch.testing.assert_close(nearest[..., 1], torch.tensor(follows).expand(2, 6), atol=1e-6, rtol=0)
+
+
+def test_a_flat_prior_has_the_same_odds_for_every_pair():
+    reward = StructuredReward(NaturalisticConfig())
+    settings = RecordedSettings(grounded=GroundedSettings(no_edge_prior=0.9, ahead_only=True), by_definition=False)
+    prior = recorded_traffic.recorded_prior(reward, torch.randn(4, 3, 5, 3), settings)
+    torch.testing.assert_close(prior, torch.tensor([0.9, 0.1]).expand(4, 6, 2))
