@@ -5,7 +5,6 @@ Two runs of one version write the same bytes.
 """
 
 import json
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
@@ -27,6 +26,7 @@ from gri.bench.merge_scores import (
     claimed,
     with_interval,
 )
+from gri.bench.relations import write
 from gri.errors import InputError
 from gri.progress import Progress, no_progress
 
@@ -67,7 +67,7 @@ class Plan:
         kept = self._named("constants", seed, LEARNING_UPDATES, LEARNING_SCENES, inputs)
         if not kept.is_file():
             found = learned([_scenes(file) for file in self.train], seed)
-            _write(kept, json.dumps({name: round(value, 6) for name, value in found.items()}, indent=1))
+            write(kept, json.dumps({name: round(value, 6) for name, value in found.items()}, indent=1))
         return json.loads(kept.read_text())
 
     def training(self) -> Training:
@@ -104,12 +104,12 @@ def run(plan: Plan, progress: Progress = no_progress) -> pd.DataFrame:
         progress("merges", done, len(jobs), 0.0)
         target = plan.file(path, row, seed)
         if not target.is_file():
-            _write(target, json.dumps(_result(_scenes(path), plan.training(), row, seed), indent=1))
+            write(target, json.dumps(_result(_scenes(path), plan.training(), row, seed), indent=1))
     progress("merges", len(jobs), len(jobs), 0.0)
     table = _table(plan, jobs)
-    _write(plan.out / "merges.csv", table.to_csv(index=False, float_format="%.4f"))
-    _write(plan.out / "merges.md", markdown(table, plan))
-    _write(plan.out / "merges.json", json.dumps(card(plan), indent=1))
+    write(plan.out / "merges.csv", table.to_csv(index=False, float_format="%.4f"))
+    write(plan.out / "merges.md", markdown(table, plan))
+    write(plan.out / "merges.json", json.dumps(card(plan), indent=1))
     return table
 
 
@@ -247,14 +247,3 @@ def card(plan: Plan) -> dict[str, Any]:
         "training": [describe(path, _scenes(path)) for path in plan.train],
         "learned_constants": constants,
     }
-
-
-def _write(path: Path, text: str) -> None:
-    """The file appears whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f"{path.name}.{os.getpid()}.part")
-    try:
-        partial.write_text(text)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)
