@@ -2,11 +2,12 @@
 
 import re
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 
 from cosim.scenes.scene_rules import DT, KINDS, Kind, Rules
+from cosim.spec.demand import CarFollowingModel
 from cosim.spec.loading import override
 from cosim.spec.scenario import Scenario, SimulatedTraffic
 from gri.errors import InputError
@@ -27,6 +28,22 @@ def changed(scenario: Scenario, name: str, step: float | None) -> Scenario:
     if every < 1 - 1e-9 or abs(every - round(every)) > 1e-6:
         raise InputError(f"got a step of {step:g} s, wanted one of which {DT} s is a multiple; give --step")
     return override(scenario, {"step": step})
+
+
+def with_car_following(scenario: Scenario, model: str | None) -> Scenario:
+    """The scenario in which all drivers have another car-following model, as precise as the model can be.
+
+    Raises:
+        InputError: the model is unknown.
+    """
+    if model is None:
+        return scenario
+    known = get_args(CarFollowingModel)
+    if model not in known:
+        raise InputError(f"--car-following: got {model!r}, wanted {', '.join(known)}")
+    changes: dict[str, Any] = {"car_following": model} | ({} if model == "Krauss" else {"imperfection": None})
+    vehicles = tuple(msgspec.structs.replace(of, **changes) for of in scenario.traffic.vehicles)
+    return msgspec.structs.replace(scenario, traffic=msgspec.structs.replace(scenario.traffic, vehicles=vehicles))
 
 
 def kinds_of(names: Sequence[str] | None) -> tuple[Kind, ...]:

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from cosim.commands.arguments import ScenarioArgument
-from gri.terminal import ProgressDisplay, console, next_command, say
+from gri.terminal import ProgressDisplay, console, next_command, notice, say
 
 
 def scenes(
@@ -26,6 +26,12 @@ def scenes(
     ] = None,
     step: Annotated[
         float | None, typer.Option(help="Step of the simulation [s]; 0.2 s must be a multiple of it.")
+    ] = None,
+    car_following: Annotated[
+        str | None,
+        typer.Option(
+            metavar="MODEL", help="Car-following model of all drivers: Krauss, IDM or EIDM; default: the scenario's."
+        ),
     ] = None,
     any_change: Annotated[
         bool, typer.Option("--any-change", help="Take lane changes for any reason as merges, not only necessary ones.")
@@ -54,10 +60,11 @@ def scenes(
 
     The labels say which vehicle follows, yields to or cuts in on which.
     """
-    from cosim.commands.scene_options import changed, kinds_of, rules_of
+    from cosim.commands.scene_options import changed, kinds_of, rules_of, with_car_following
     from cosim.spec.loading import load_scenario, override
 
-    chosen = changed(override(load_scenario(scenario), {} if seed is None else {"seed": seed}), scenario, step)
+    seeded = override(load_scenario(scenario), {} if seed is None else {"seed": seed})
+    chosen = with_car_following(changed(seeded, scenario, step), car_following)
     rules = rules_of(
         strategic=not any_change, at_most=at_most or [], interaction=interaction, spacing=spacing,
         per_vehicle=per_vehicle, reduction=reduction,
@@ -77,7 +84,9 @@ def scenes(
     )
     began = time.monotonic()
     with ProgressDisplay() as progress:
-        made = make(order, out, workers or os.cpu_count() or 1, lambda done, total: progress("scenes", done, total))
+        made = make(
+            order, out, workers or os.cpu_count() or 1, lambda done, total: progress("scenes", done, total), notice
+        )
     report = report_of(order, made, time.monotonic() - began, out)
     for table in tables(report):
         console.print(table)

@@ -4,13 +4,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from cosim.measures.relation_labels import NO_VEHICLE, DriverRecords
 from cosim.scenes.candidates import Window, rows_at_every_step
+from cosim.scenes.driver_models import model_of, with_imprecision
 from cosim.scenes.scene_rules import Kind
 from cosim.scenes.trajectory_buffer import COLUMN, BufferedStep, TrajectoryBuffer
 from cosim.world.snapshot import DriverParameters
+
+FAR = 10_000.0  # [m] behind a leader, where it has no effect
 
 
 @dataclass(frozen=True)
@@ -27,6 +30,8 @@ class Clip:
     """Speed [m/s] that the car-following model allows behind the leader; inf where no label can depend on it."""
     speed_behind_target: Float[np.ndarray, "3 M"]
     """The same behind the target of an urgent lane change, if the target is one of the three vehicles; else inf."""
+    speed_far_behind: Float[np.ndarray, "3 M"]
+    """The same `FAR` behind a leader of the same speed: the free speed of models that approach it gradually."""
 
     @property
     def speeds(self) -> Float[np.ndarray, "3 M"]:
@@ -52,7 +57,8 @@ def cut_clip(window: Window, buffer: TrajectoryBuffer, scene_steps: int) -> Clip
     if buffer.stride == 1:
         values[:, :-1, COLUMN["v_next"]] = values[:, 1:, COLUMN["v"]]
     ids = [steps[0].ids[row] for row in rows[:, 0]]
-    drivers = tuple(buffer.world.drivers.parameters(vehicle) for vehicle in ids)
+    asked = [buffer.world.drivers.parameters(vehicle) for vehicle in ids]
+    drivers = tuple(with_imprecision(driver, model_of(driver, buffer.models)) for driver in asked)
     leader, requester, target = (values[..., COLUMN[name]].astype(int) for name in ("leader", "requester", "target"))
     leader_inside, requester_inside, target_inside = (
         (number[..., None] == window.vehicles).any(-1) for number in (leader, requester, target)
@@ -63,7 +69,11 @@ def cut_clip(window: Window, buffer: TrajectoryBuffer, scene_steps: int) -> Clip
     behind_target = _allowed_speeds(
         buffer, steps, ids, values, "target_gap", np.where(target_inside, target, NO_VEHICLE)
     )
-    return Clip(window, steps[0].time, drivers, values, behind_leader, behind_target)
+    far_behind = np.full(leader.shape, np.inf)
+    for j, t in np.argwhere(np.isfinite(behind_leader) | np.isfinite(behind_target)).tolist():
+        v = float(values[j, t, COLUMN["v"]])
+        far_behind[j, t] = buffer.world.drivers.follow_speed(ids[j], v, FAR, v, buffer.world.drivers.braking(ids[j]))
+    return Clip(window, steps[0].time, drivers, values, behind_leader, behind_target, far_behind)
 
 
 def _allowed_speeds(
@@ -98,6 +108,7 @@ def driver_records_of(clips: Sequence[Clip], dt: float, stride: int) -> DriverRe
     leader, requester, target, new_follower = (
         values[..., COLUMN[name]].astype(int) for name in ("leader", "requester", "target", "new_follower")
     )
+    far_behind = np.stack([clip.speed_far_behind for clip in clips])
     factor, top, acceleration, imperfection = (
         np.array([[getattr(driver, name) for driver in clip.drivers] for clip in clips])[..., None]
         for name in ("speed_factor", "max_speed", "acceleration", "imperfection")
@@ -106,7 +117,9 @@ def driver_records_of(clips: Sequence[Clip], dt: float, stride: int) -> DriverRe
         vehicle=np.array([clip.window.vehicles for clip in clips]),
         v=v,
         v_next=values[..., COLUMN["v_next"]],
-        free_speed=np.minimum(v + acceleration * dt, np.minimum(limit * factor, top)),
+        free_speed=np.minimum.reduce(
+            [v + acceleration * dt, limit * factor, np.broadcast_to(top, v.shape), far_behind[..., :-1]]
+        ),
         speed_behind_leader=np.stack([clip.speed_behind_leader[:, :-1] for clip in clips]),
         imperfection=np.broadcast_to(imperfection * acceleration, v.shape),
         speed_behind_target=np.stack([clip.speed_behind_target[:, :-1] for clip in clips]),
@@ -125,3 +138,8 @@ def intervention_effects(clips: Sequence[Clip]) -> tuple[np.ndarray, np.ndarray]
     """[S, 3, T] Accelerations [m/s²] that the vehicles owe to their leader, and to requests to make room (negative)."""
     values = np.stack([clip.values[:, :-1] for clip in clips])
     return values[..., COLUMN["effect_of_leader"]], values[..., COLUMN["effect_of_requests"]]
+
+
+def decisions_known(clips: Sequence[Clip]) -> Bool[np.ndarray, " S"]:
+    """Whether the last decision of every vehicle is known at all steps of each clip."""
+    return np.array([bool(clip.values[:, :-1, COLUMN["decision_known"]].all()) for clip in clips])

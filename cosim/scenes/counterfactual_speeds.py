@@ -2,7 +2,8 @@
 
 Each intervention runs in one copy of the simulation (`cosim.process.fork.fork`), for all vehicles at once. This is
 possible because the acceleration of the first step does not depend on the accelerations of others in the same step, and
-because random numbers are drawn in the same order. The copies run while the simulation goes on.
+because random numbers are drawn in the same order. The copies run while the simulation goes on. Drivers that do not
+decide at every step show no effect in between; `last_decisions` keeps the effect of their last decision.
 """
 
 from collections.abc import Callable, Sequence

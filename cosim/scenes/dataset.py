@@ -32,6 +32,7 @@ FILE = "scenes.parquet"
 SEED_TIME_LIMIT = 24 * 3600.0  # [s] of wall-clock time
 MAX_EMPTY_SEEDS = 10  # seeds without any scene of a kind after which the data set is given up
 Tell = Callable[[int, int], None]  # (scenes so far, wanted)
+Warn = Callable[[str], None]
 
 
 class DatasetSpec(msgspec.Struct, frozen=True, kw_only=True):
@@ -90,11 +91,12 @@ class Dataset:
     new_scenes: int
 
 
-def make(order: DatasetSpec, folder: Path, workers: int, tell: Tell) -> Dataset:
+def make(order: DatasetSpec, folder: Path, workers: int, tell: Tell, warn: Warn = lambda text: None) -> Dataset:
     """Simulate seeds until there are enough scenes of every kind, then join them; finished seeds are reused.
 
-    `tell` is called with the scenes so far and the scenes wanted. Raises `InputError` if the folder has a data set
-    already, or if no scene of a kind is found.
+    `tell` is called with the scenes so far and the scenes wanted. `warn` is called with a sentence about each seed that
+    had no scene of a kind; it says which rule turned down how many candidates. Raises `InputError` if the folder has a
+    data set already, or if no scene of a kind is found.
     """
     store = SeedStore(order, folder)
     before = store.scenes()
@@ -105,6 +107,8 @@ def make(order: DatasetSpec, folder: Path, workers: int, tell: Tell) -> Dataset:
         with closing(run_local(queue, SEED_TIME_LIMIT, workers=workers)) as answers:
             for answer in answers:
                 store.keep(answer)
+                for text in store.empty_handed(int(answer.name)):
+                    warn(text)
                 tell(store.scenes(), order.total)
                 if store.enough() is None:
                     _refill(queue, store, 1)
@@ -177,8 +181,17 @@ class SeedStore:
             if not any(_scenes(result, kind) for result in self.results.values()):
                 raise InputError(
                     f"{self.order.source}: no {kind} scene in {len(self.results)} seeds;"
+                    f" {_turned_down(list(self.results.values()), kind)};"
                     " relax the rules (see `cosim scenes --help`)"
                 )
+
+    def empty_handed(self, k: int) -> list[str]:
+        """A sentence for each kind of which the k-th seed had no scene."""
+        return [
+            f"seed {self.order.scenario.seed + k}: no {kind} scene; {_turned_down([self.results[k]], kind)}"
+            for kind in self.order.kinds
+            if not _scenes(self.results[k], kind)
+        ]
 
     def scenes(self) -> int:
         """Number of scenes so far; of each kind at most as many as wanted."""
@@ -211,6 +224,15 @@ class SeedStore:
 
 def _scenes(result: SeedResult, kind: Kind) -> int:
     return int(result.figures.tallies[kind]["scenes"])
+
+
+def _turned_down(seeds: Sequence[SeedResult], kind: Kind) -> str:
+    """Which rule turned down how many candidates, the greatest number first."""
+    rejected = total_tally(seeds, kind)["rejected"]
+    if not rejected:
+        return "there was no candidate"
+    reasons = sorted(rejected.items(), key=lambda item: -item[1])
+    return f"turned down {sum(rejected.values())}: " + ", ".join(f"{count} {reason}" for reason, count in reasons)
 
 
 def total_tally(seeds: Sequence[SeedResult], kind: Kind) -> dict[str, Any]:

@@ -16,7 +16,7 @@ from cosim.measures.relation_labels import (
     reactions_by_rule,
     reduce_labels,
 )
-from cosim.scenes.clips import Clip, driver_records_of, intervention_effects
+from cosim.scenes.clips import Clip, decisions_known, driver_records_of, intervention_effects
 from cosim.scenes.scene_rules import DT, HYPOTHESIS, RAREST, Kind, Rarest, Rules
 from cosim.scenes.scene_states import road_positions, scene_features
 from cosim.scenes.trajectory_buffer import RoadSection
@@ -81,7 +81,10 @@ class SceneFilter:
         if self._gold:
             labels = pair_labels(reactions_by_intervention(records, *intervention_effects(clips)), records.vehicle)
         graph, clear = reduce_labels(labels, self._rules.reduction, round(self._rules.least_clear / DT))
-        chosen = self._select(kind, clips, violations(kind, self._rules, s, d, labels), graph)
+        violated = violations(kind, self._rules, s, d, labels)
+        if self._gold:
+            violated.insert(0, ("a driver's last decision is unknown", ~decisions_known(clips)))
+        chosen = self._select(kind, clips, violated, graph)
         if not len(chosen):
             return None
         labels, rule = (PairLabels(of.types[chosen], of.effect[chosen]) for of in (labels, rule))

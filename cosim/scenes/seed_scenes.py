@@ -110,7 +110,14 @@ class SceneExtractor:
         self._numbers = VehicleNumbers([flow.name for flow in scenario.traffic.flows])
         length = spec.rules.longest + 1
         self.buffer = TrajectoryBuffer(
-            world, section, self._numbers, length=length, dt=scenario.step, stride=stride, gold=spec.gold
+            world,
+            section,
+            self._numbers,
+            length=length,
+            dt=scenario.step,
+            stride=stride,
+            gold=spec.gold,
+            models={of.name: of.car_following for of in perturbed_traffic(scenario).traffic.vehicles},
         )
         self.scene_filter = SceneFilter(spec.rules, section, scenario.step, stride, spec.count, spec.gold)
         self._rng = np.random.default_rng(scenario.seed)

@@ -1,7 +1,7 @@
 """The last seconds of traffic on a road section, as SUMO reports it."""
 
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,13 +10,17 @@ from jaxtyping import Float
 from cosim.measures.relation_labels import NO_VEHICLE
 from cosim.process.fork import Branch
 from cosim.scenes.counterfactual_speeds import speeds_without_leader, speeds_without_requests
+from cosim.scenes.driver_models import decision_steps, model_of
 from cosim.scenes.lane_change_requests import LaneChangeEvent, find_requests, follower_row, secure_gap_margin
-from cosim.sumo import Net, Sumo
+from cosim.scenes.last_decisions import LastDecisions
+from cosim.spec.demand import CarFollowingModel
+from cosim.sumo import CachedVehicleValues, Net, Sumo
 from cosim.world.road_frame import RoadFrame
 from cosim.world.snapshot import LaneChange, LaneTraffic
 
 READ_FROM_SUMO = ("lane", "position", "v", "leader", "gap")
-FILLED_LATER = ("limit", "v_next", "effect_of_leader", "effect_of_requests")
+EFFECTS = ("effect_of_leader", "effect_of_requests")
+FILLED_LATER = ("limit", "v_next", *EFFECTS, "decision_known")
 COLUMNS = (
     *READ_FROM_SUMO, "requester", "target", "target_gap", "cooperative_change", "new_follower", "new_follower_margin",
     *FILLED_LATER,
@@ -25,6 +29,7 @@ COLUMN = {name: k for k, name in enumerate(COLUMNS)}
 DEFAULTS = np.zeros(len(COLUMNS))
 DEFAULTS[[COLUMN["requester"], COLUMN["target"], COLUMN["new_follower"]]] = NO_VEHICLE
 DEFAULTS[COLUMN["new_follower_margin"]] = np.inf
+DEFAULTS[COLUMN["decision_known"]] = 1.0
 NUMBERS_PER_FLOW = 1_000_000
 MAX_PENDING_STEPS = 8  # that the simulation may be ahead of the copies in which interventions run
 
@@ -97,10 +102,33 @@ def _lane(net: Net, name: str, road: RoadFrame) -> Lane:
     return Lane(name.rpartition("_")[0], shape, net.length(name), float(road.to_road(shape)[1].mean()))
 
 
+@dataclass(frozen=True)
+class _Intervention:
+    """What was changed in copies of one simulation step, for V vehicles; `step` is None between two buffered steps."""
+
+    step: BufferedStep | None
+    ids: list[str]
+    causes: dict[str, np.ndarray]
+    """[V] Number of the leader or requester, by the column of its effect."""
+    decision_steps: dict[str, np.ndarray]
+    """[V] Simulation steps between two decisions, by the column of the effect."""
+    branches: dict[str, Branch[list[float]]]
+    v_next: list[float]
+    """Speed one simulation step later without an intervention [m/s]; nan where the vehicle left the road section."""
+
+
+def _speeds_of(ids: Sequence[str], driving: LaneTraffic) -> list[float]:
+    """Speed of each vehicle [m/s]; nan where it left the road section."""
+    v = dict(zip(driving.ids, driving.v, strict=True))
+    return [v.get(vehicle, np.nan) for vehicle in ids]
+
+
 class TrajectoryBuffer:
     """Steps the simulation and keeps the last `length` steps, which are `stride` simulation steps of `dt` [s] apart.
 
-    With `gold`, two interventions start at every step: without leaders, and without requests to make room.
+    With `gold`, two interventions start at every step: without leaders, and without requests to make room. If a driver
+    does not decide at every simulation step, interventions also start between two buffered steps. `models` are the
+    car-following models of the vehicle classes.
     """
 
     def __init__(
@@ -113,12 +141,15 @@ class TrajectoryBuffer:
         dt: float,
         stride: int,
         gold: bool,
+        models: Mapping[str, CarFollowingModel],
     ) -> None:
         self.world, self.section, self.numbers = world, section, numbers
-        self.dt, self.stride, self.gold = dt, stride, gold
+        self.dt, self.stride, self.gold, self.models = dt, stride, gold, models
         self.steps: deque[BufferedStep] = deque(maxlen=length)
         self._lane_of: dict[str, int] = {}
-        self._pending: deque[tuple[BufferedStep, dict[str, Branch[list[float]]]]] = deque()
+        self._pending: deque[_Intervention] = deque()
+        self._decision_steps = CachedVehicleValues(self._steps_per_decision)
+        self._last_decisions = {name: LastDecisions() for name in EFFECTS}
         self._must_change: set[str] = set()  # vehicles that must leave their lane to stay on their route
         self._requested: set[str] = set()  # vehicles that were asked to make room at the step before
         self.count = 0
@@ -127,17 +158,20 @@ class TrajectoryBuffer:
     def advance(self) -> BufferedStep:
         """Go on to the next step of the scenes and return it."""
         changes: list[LaneChangeEvent] = []
-        before = self.steps[-1] if self.steps else None
+        now = before = self.steps[-1] if self.steps else None
+        between = self.gold and self.stride > 1 and before is not None and self._some_decide_rarely(before.ids)
         for k in range(self.stride):
             first = before if k == 0 else None
-            if first and self.gold:
-                self._pending.append((first, self._start_interventions(first)))
+            waiting = self._intervene(now, first) if now and self.gold and (first or between) else None
             report = self.world.step()
             driving = self.world.drivers.read_lanes(self.section.names)
             if first and (self.gold or self.stride > 1):  # else the speeds of the next step say it
-                v = dict(zip(driving.ids, driving.v, strict=True))
-                first.values[:, COLUMN["v_next"]] = [v.get(vehicle, np.nan) for vehicle in first.ids]
+                first.values[:, COLUMN["v_next"]] = _speeds_of(first.ids, driving)
+            if waiting:
+                waiting.v_next[:] = _speeds_of(waiting.ids, driving)
             changes += self._lane_changes(driving)
+            if between and k + 1 < self.stride:
+                now = self._buffered_step(report.time, driving, [])
         step = self._buffered_step(report.time, driving, changes)
         for change in changes:
             self._record_lane_change(step, before, driving, change)
@@ -146,21 +180,45 @@ class TrajectoryBuffer:
         self.count += 1
         return step
 
-    def _start_interventions(self, now: BufferedStep) -> dict[str, Branch[list[float]]]:
+    def _steps_per_decision(self, vehicle: str) -> dict[str, int]:
+        driver = self.world.drivers.parameters(vehicle)
+        return decision_steps(driver, model_of(driver, self.models), self.dt)
+
+    def _some_decide_rarely(self, ids: Sequence[str]) -> bool:
+        """Whether a driver does not decide at every simulation step."""
+        return any(max(self._decision_steps[vehicle].values()) > 1 for vehicle in ids)
+
+    def _intervene(self, now: BufferedStep, buffered: BufferedStep | None) -> _Intervention:
         """Start the copies that find the speeds one simulation step later after each intervention."""
         leaders = [(vehicle, leader) for vehicle, leader in zip(now.ids, now.leaders, strict=True) if leader]
         asked = [now.ids[row] for row in np.flatnonzero(now.column("requester") != NO_VEHICLE)]
         branches = {"effect_of_leader": speeds_without_leader(self.world, now.ids, leaders)}
         if asked:
             branches["effect_of_requests"] = speeds_without_requests(self.world, now.ids, asked)
-        return branches
+        causes = {
+            effect: now.column(name).astype(int) for effect, name in zip(EFFECTS, ("leader", "requester"), strict=True)
+        }
+        rates = [self._decision_steps[vehicle] for vehicle in now.ids]
+        steps = {name: np.array([rate[name] for rate in rates], int) for name in EFFECTS}
+        waiting = _Intervention(buffered, now.ids, causes, steps, branches, [])
+        self._pending.append(waiting)
+        return waiting
 
     def await_interventions(self, pending: int = 0) -> None:
-        """Wait for the results of interventions until at most `pending` steps are without theirs."""
+        """Wait for the results of interventions until at most `pending` of them are without theirs."""
         while len(self._pending) > pending:
-            step, branches = self._pending.popleft()
-            for name, branch in branches.items():
-                step.values[:, COLUMN[name]] = (step.column("v_next") - branch.result()) / self.dt
+            done = self._pending.popleft()
+            vehicle = np.array([self.numbers[name] for name in done.ids], int)
+            for name in EFFECTS:
+                effect = np.zeros(len(done.ids))
+                if name in done.branches:
+                    effect = (np.array(done.v_next) - np.array(done.branches[name].result())) / self.dt
+                effect, known = self._last_decisions[name].update(
+                    vehicle, done.causes[name], effect, done.decision_steps[name]
+                )
+                if done.step is not None:
+                    done.step.values[:, COLUMN[name]] = effect
+                    done.step.values[:, COLUMN["decision_known"]] *= known
 
     def _lane_changes(self, driving: LaneTraffic) -> list[LaneChangeEvent]:
         """Lane changes on the same edge since the last simulation step."""

@@ -9,6 +9,7 @@ NonNegative = Annotated[float, Meta(ge=0)]
 Share = Annotated[float, Meta(ge=0, le=1)]
 Count = Annotated[int, Meta(ge=1)]
 Name = Annotated[str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_.\-]*$")]
+CarFollowingModel = Literal["Krauss", "IDM", "EIDM"]
 
 
 class Spec(Struct, frozen=True, forbid_unknown_fields=True):
@@ -30,7 +31,8 @@ class VehicleClass(Spec, frozen=True, kw_only=True):
 
     Lengths and gaps in m, accelerations in m/s²; `tau` is the desired time headway [s]. `tau_cv` is the coefficient of
     variation of its log-normal distribution. Each `_sd` is the standard deviation of a normal distribution that is cut
-    off at two standard deviations.
+    off at two standard deviations. `imperfection` is the sigma of Krauss's model, 0.5 unless given. IDM and EIDM have
+    none; EIDM errs in what it perceives, with SUMO's default parameters.
     """
 
     name: Name
@@ -39,11 +41,11 @@ class VehicleClass(Spec, frozen=True, kw_only=True):
     length: Positive = 4.6
     length_sd: NonNegative = 0.0
     width: Positive = 1.8
-    car_following: Literal["Krauss", "IDM", "EIDM"] = "Krauss"
+    car_following: CarFollowingModel = "Krauss"
     acceleration: Positive = 2.0
     deceleration: Positive = 3.5
     emergency_deceleration: Positive = 9.0
-    imperfection: Share = 0.5
+    imperfection: Share | None = None
     tau: Positive = 1.2
     tau_cv: NonNegative = 0.0
     min_gap: NonNegative = 2.0
@@ -51,6 +53,13 @@ class VehicleClass(Spec, frozen=True, kw_only=True):
     speed_factor: Positive = 1.0
     speed_factor_sd: NonNegative = 0.0
     lane_changing: LaneChanging = field(default_factory=LaneChanging)
+
+    def __post_init__(self) -> None:
+        if self.car_following != "Krauss" and self.imperfection:
+            raise ValueError(
+                f"vehicle class {self.name!r} has imperfection {self.imperfection:g}, but {self.car_following} has no"
+                " such parameter; expected imperfection: 0, or car_following: Krauss"
+            )
 
 
 class Flow(Spec, frozen=True, kw_only=True):

@@ -3,6 +3,7 @@
 Others use what is listed here. Begin with `simulation.sumo` (start) and `simulation.Sumo` (everything else).
 """
 
+from cosim.sumo.cache import CachedVehicleValues as CachedVehicleValues
 from cosim.sumo.drivers import Drivers as Drivers
 from cosim.sumo.net import Net as Net
 from cosim.sumo.simulation import Sumo as Sumo

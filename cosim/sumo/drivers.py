@@ -64,7 +64,8 @@ class Drivers:
             length=api.getLength(vehicle),
             width=api.getWidth(vehicle),
             acceleration=api.getAccel(vehicle),
-            imperfection=api.getImperfection(vehicle),
+            imperfection=max(api.getImperfection(vehicle), 0.0),  # SUMO says -1 for models without one
+            action_step=api.getActionStepLength(vehicle),
             speed_factor=api.getSpeedFactor(vehicle),
             max_speed=api.getMaxSpeed(vehicle),
         )

@@ -9,6 +9,8 @@ import numpy as np
 from cosim.spec.demand import Flow, Traffic, VehicleClass
 from cosim.spec.scenario import Scenario
 
+KRAUSS_IMPERFECTION = 0.5  # where none is given
+
 
 def route_file(traffic: Traffic, seed: int, end: float) -> str:
     """SUMO's route file: vehicle types, routes and every vehicle until `end` [s], in the order of departure.
@@ -70,7 +72,8 @@ def _types(vehicles: VehicleClass, rng: np.random.Generator) -> list[str]:
     length = _normal(rng, vehicles.length, vehicles.length_sd, n)
     gap = np.maximum(_normal(rng, vehicles.min_gap, vehicles.min_gap_sd, n), 0.5)
     factor = _normal(rng, vehicles.speed_factor, vehicles.speed_factor_sd, n)
-    model = f' sigma="{vehicles.imperfection:g}"' if vehicles.car_following == "Krauss" else ""
+    sigma = KRAUSS_IMPERFECTION if vehicles.imperfection is None else vehicles.imperfection
+    model = f' sigma="{sigma:g}"' if vehicles.car_following == "Krauss" else ""
     return [
         f'    <vType id="{vehicles.name}.{k}" vClass="{vehicles.v_class}"'
         f' carFollowModel="{vehicles.car_following}"{model}'

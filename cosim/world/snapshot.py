@@ -109,6 +109,9 @@ class DriverParameters:
     width: float
     acceleration: float
     imperfection: float
+    """Krauss's sigma; 0 for models without one."""
+    action_step: float
+    """Time between two decisions [s], SUMO's `actionStepLength`."""
     speed_factor: float
     max_speed: float
 

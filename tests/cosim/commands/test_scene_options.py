@@ -2,7 +2,7 @@
 
 import pytest
 
-from cosim.commands.scene_options import changed, kinds_of, rules_of
+from cosim.commands.scene_options import changed, kinds_of, rules_of, with_car_following
 from cosim.spec.loading import load_scenario
 from gri.errors import InputError
 
@@ -44,3 +44,12 @@ def test_steps_must_fit():
             changed(scenario, "us101_merge", step)
     with pytest.raises(InputError, match="gri ngsim scenes"):
         changed(load_scenario("us101_replay"), "us101_replay", None)
+
+
+def test_all_drivers_get_another_car_following_model():
+    scenario = load_scenario("us101_merge")
+    drivers = with_car_following(scenario, "EIDM").traffic.vehicles
+    assert {(of.car_following, of.imperfection) for of in drivers} == {("EIDM", None)}
+    assert with_car_following(scenario, None) == with_car_following(scenario, "Krauss") == scenario
+    with pytest.raises(InputError, match="wanted Krauss, IDM, EIDM"):
+        with_car_following(scenario, "Gipps")

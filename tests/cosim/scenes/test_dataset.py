@@ -62,6 +62,16 @@ def test_mistakes_are_one_line(scenario: Path, tmp_path: Path):
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
 
 
+def test_a_seed_without_a_scene_says_which_rule_turned_down_how_many(scenario: Path, tmp_path: Path):
+    done = run(scenario, tmp_path, "--kind", "car_following", "--count", 1, "--per-seed", 1, "--spacing", 0.1,
+               "--workers", 1)  # fmt: skip
+    assert done.returncode == 2
+    first = next(line for line in done.stderr.splitlines() if "seed 1: no car_following scene; turned down" in line)
+    assert " too far apart" in first
+    assert "too far apart" in done.stderr.splitlines()[-1]
+    assert "10 seeds" in done.stderr.splitlines()[-1]
+
+
 @pytest.mark.slow
 def test_workers_and_kills_do_not_show_in_the_file(scenario: Path, tmp_path: Path):
     options = "--count", 12, "--per-seed", 3

@@ -120,3 +120,11 @@ def test_schema_describes_every_field_of_a_shipped_file():
     content = yaml.safe_load(shipped("scenarios", "us101_car_following.yaml").read_text())
     assert set(content) <= set(properties)
     assert {"type": "string"} in properties["traffic"]["anyOf"]
+
+
+def test_models_without_an_imperfection_refuse_one():
+    drivers = load_scenario("us101_car_following").traffic.vehicles[0]
+    assert drivers.imperfection == 0.3
+    with pytest.raises(ValueError, match="EIDM has no such parameter; expected imperfection: 0"):
+        msgspec.structs.replace(drivers, car_following="EIDM")
+    assert msgspec.structs.replace(drivers, car_following="IDM", imperfection=0.0).imperfection == 0
