@@ -6,7 +6,7 @@ from typing import Any, get_args
 
 import msgspec
 
-from cosim.scenes.scene_rules import DT, KINDS, Kind, Rules
+from cosim.scenes.scene_rules import DEFAULT_KINDS, DT, KINDS, Kind, Rules
 from cosim.spec.demand import CarFollowingModel
 from cosim.spec.loading import override
 from cosim.spec.scenario import Scenario, SimulatedTraffic
@@ -47,11 +47,11 @@ def with_car_following(scenario: Scenario, model: str | None) -> Scenario:
 
 
 def kinds_of(names: Sequence[str] | None) -> tuple[Kind, ...]:
-    """The named kinds, each once; all kinds where no name is given."""
+    """The named kinds, each once; car following and merges where no name is given."""
     for name in names or ():
         if name not in KINDS:
-            raise InputError(f"--kind: got {name!r}, wanted {' or '.join(KINDS)}")
-    return tuple(kind for kind in KINDS if not names or kind in names)
+            raise InputError(f"--kind: got {name!r}, wanted one of {', '.join(KINDS)}")
+    return tuple(kind for kind in KINDS if kind in (names or DEFAULT_KINDS))
 
 
 def rules_of(*, at_most: Sequence[str], **changes: Any) -> Rules:

@@ -15,7 +15,9 @@ def scenes(
     scenario: ScenarioArgument,
     out: Annotated[Path, typer.Option(help="Folder to write scenes.parquet and report.json to.")],
     count: Annotated[int, typer.Option(min=1, help="Scenes of each kind.")] = 1000,
-    kind: Annotated[list[str] | None, typer.Option(help="car_following or merge; repeatable; default: both.")] = None,
+    kind: Annotated[
+        list[str] | None, typer.Option(help="car_following, merge or triple; repeatable; default: the first two.")
+    ] = None,
     gold: Annotated[
         bool, typer.Option("--gold", help="Label relations by interventions in copies of the simulation, not by rules.")
     ] = False,
@@ -91,5 +93,8 @@ def scenes(
     for table in tables(report):
         console.print(table)
     say(report["cost"]["text"])
-    config = "sumo_car_following" if "car_following" in order.kinds else "sumo_merge"
-    next_command(f"gri train {config} --scene-file {made.path}")
+    if order.kinds == ("triple",):
+        next_command(f"gri bench relations --sumo {made.path}")
+    else:
+        config = "sumo_car_following" if "car_following" in order.kinds else "sumo_merge"
+        next_command(f"gri train {config} --scene-file {made.path}")

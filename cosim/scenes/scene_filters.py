@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Bool
+from jaxtyping import Bool, Int
 
 from cosim.measures.label_agreement import Agreement, agreement
 from cosim.measures.relation_labels import (
@@ -17,10 +17,10 @@ from cosim.measures.relation_labels import (
     reduce_labels,
 )
 from cosim.scenes.clips import Clip, decisions_known, driver_records_of, intervention_effects
-from cosim.scenes.scene_rules import DT, HYPOTHESIS, RAREST, Kind, Rarest, Rules
+from cosim.scenes.scene_rules import DT, HYPOTHESIS, KINDS, RAREST, TRIPLE_SHARES, Kind, Rarest, Rules
 from cosim.scenes.scene_states import road_positions, scene_features
 from cosim.scenes.trajectory_buffer import RoadSection
-from gri.core.edges import LANE_CHANGING
+from gri.core.edges import LANE_CHANGING, pairs
 from gri.data.scene_file.schema import SceneBlock, names_of
 
 K = len(LANE_CHANGING)
@@ -39,6 +39,8 @@ class Tally:
     """Scenes in which every pair is unambiguous."""
     rarest: Counter[str] = field(default_factory=Counter)
     """Scenes by their rarest edge."""
+    graphs: Counter[str] = field(default_factory=Counter)
+    """Triples by their graph, in the words of `TRIPLE_SHARES`."""
     step_labels: np.ndarray = field(default_factory=lambda: np.zeros(K, int))
     """[K] Labels of all pairs and steps by type."""
     edges: np.ndarray = field(default_factory=lambda: np.zeros(K, int))
@@ -55,8 +57,8 @@ class SceneFilter:
     def __init__(self, rules: Rules, section: RoadSection, dt: float, stride: int, count: int, gold: bool) -> None:
         self._rules, self._section, self._count, self._gold = rules, section, count, gold
         self._dt, self._stride = dt, stride
-        self._scenes_of: dict[Kind, Counter[int]] = {"car_following": Counter(), "merge": Counter()}
-        self.tallies: dict[Kind, Tally] = {"car_following": Tally(), "merge": Tally()}
+        self._scenes_of: dict[Kind, Counter[int]] = {kind: Counter() for kind in KINDS}
+        self.tallies: dict[Kind, Tally] = {kind: Tally() for kind in KINDS}
 
     def full(self, kind: Kind) -> bool:
         """Whether there are enough scenes of a kind."""
@@ -132,12 +134,16 @@ class SceneFilter:
                 reason = "a vehicle in enough scenes"
             if not reason and tally.rarest[rarest] >= limit:
                 reason = f"enough scenes with {rarest}"
+            name = following_in_words(graph[k]) if kind == "triple" else ""
+            if not reason and name and tally.graphs[name] >= TRIPLE_SHARES.get(name, 0.0) * self._count:
+                reason = f"enough triples where {name}"
             if reason:
                 tally.rejected[reason] += 1
                 continue
             chosen.append(k)
             tally.scenes += 1
             tally.rarest[rarest] += 1
+            tally.graphs.update([name] if name else [])
             self._scenes_of[kind].update(clip.window.vehicles)
         return np.array(chosen, int)
 
@@ -154,6 +160,12 @@ class SceneFilter:
         tally.hypothesis = tally.hypothesis + agreement(np.broadcast_to(index, graph.shape), graph, K)
 
 
+def following_in_words(graph: Int[np.ndarray, " E"]) -> str:
+    """Who follows whom, e.g. "0 follows 1, 1 follows 2"; `graph` are indices into `LANE_CHANGING`."""
+    found = sorted((j, i) for (i, j), kind in zip(pairs(3), graph.tolist(), strict=True) if kind == FOLLOW)
+    return ", ".join(f"{j} follows {i}" for j, i in found) or "nobody follows"
+
+
 def violations(
     kind: Kind, rules: Rules, s: np.ndarray, d: np.ndarray, labels: PairLabels
 ) -> list[tuple[str, Bool[np.ndarray, " S"]]]:
@@ -162,7 +174,7 @@ def violations(
     `s` and `d` [S, 3, M] are positions in the road frame [m] at the M = T + 1 steps of the clips.
     """
     s, changes_lane = s[..., :-1], np.abs(np.diff(d[..., :-1])) > LANE_CHANGE
-    rear_to_front = [0, 1, 2] if kind == "car_following" else [1, 0, 2]
+    rear_to_front = [1, 0, 2] if kind == "merge" else [0, 1, 2]
     headway = np.diff(s[:, rear_to_front], axis=1)
     seconds = (labels.types != 0).sum((1, 2)) * DT
     lane_keepers = changes_lane[:, 1:] if kind == "merge" else changes_lane
@@ -175,13 +187,17 @@ def violations(
             ("in another order at the crossing", np.any(at[..., 1] <= 0, 1)),
             ("too far apart", np.any(np.abs(at) >= rules.spacing, (1, 2))),
         ]
-    else:
+    elif kind == "triple":
+        least, most = rules.triple_spacing
         found += [
-            ("too far apart", np.any((headway >= rules.spacing) | (headway <= 0), (1, 2))),
-            ("another relation than following", np.any(labels.types > FOLLOW, (1, 2))),
+            ("too close or in another order", np.any(headway < least, (1, 2))),
+            ("too far apart", np.any(headway >= most, (1, 2))),
         ]
-    return [
-        *found,
-        ("standing", np.ptp(s[:, 0], axis=1) < rules.travel),
-        ("too little interaction", seconds < rules.interaction - 1e-9),
-    ]
+    else:
+        found.append(("too far apart", np.any((headway >= rules.spacing) | (headway <= 0), (1, 2))))
+    if kind != "merge":
+        found.append(("another relation than following", np.any(labels.types > FOLLOW, (1, 2))))
+    found.append(("standing", np.ptp(s[:, 0], axis=1) < rules.travel))
+    if kind != "triple":
+        found.append(("too little interaction", seconds < rules.interaction - 1e-9))
+    return found

@@ -11,10 +11,10 @@ import msgspec
 import numpy as np
 
 from cosim.perturb.traffic_demand import perturbed_traffic
-from cosim.scenes.candidates import Window, following_chains, merge_window
+from cosim.scenes.candidates import Window, following_chains, merge_window, triples
 from cosim.scenes.clips import Clip, cut_clip
 from cosim.scenes.scene_filters import SceneFilter, Tally
-from cosim.scenes.scene_rules import DT, Kind, Rules
+from cosim.scenes.scene_rules import DT, TRIPLE_SHARES, Kind, Rules
 from cosim.scenes.trajectory_buffer import BufferedStep, RoadSection, TrajectoryBuffer, VehicleNumbers
 from cosim.spec.scenario import Scenario
 from cosim.sumo import Sumo, sumo
@@ -136,6 +136,8 @@ class SceneExtractor:
             self._find_merges(step)
         if "car_following" in kinds and step.index and step.index % rules.following_steps == 0:
             self._find_chains(step)
+        if "triple" in kinds and step.index and step.index % rules.triple_steps == 0:
+            self._find_triples(step)
         before = len(self._clips)
         ending = [w for w in self._windows if w.begin + rules.steps(w.kind) == step.index]
         self._windows = [w for w in self._windows if w.begin + rules.steps(w.kind) > step.index]
@@ -193,6 +195,22 @@ class SceneExtractor:
             found, taken = found + 1, taken | set(trio)
             self._windows.append(Window("car_following", trio, step.index - rules.following_steps))
 
+    def _find_triples(self, step: BufferedStep) -> None:
+        """Add up to `Rules.triples_at_once` triples of the last T steps, drawn at random in the wanted shares."""
+        rules, taken = self.spec.rules, set()
+        steps = list(self.buffer.steps)[-rules.triple_steps - 1 :]
+        found = triples(steps, self.buffer.section, rules)
+        names = list(found)
+        shares = np.array([TRIPLE_SHARES[name] for name in names])
+        for which in self._rng.choice(len(names), rules.triples_at_once, p=shares / shares.sum()).tolist():
+            candidates = found[names[which]]
+            for k in self._rng.permutation(len(candidates)):
+                trio = candidates[k]
+                if not taken & set(trio) and not self.scene_filter.vehicle_limit_reached("triple", trio):
+                    taken |= set(trio)
+                    self._windows.append(Window("triple", trio, step.index - rules.triple_steps))
+                    break
+
 
 def _tally_as_json(tally: Tally) -> dict[str, Any]:
     """A tally as built-in types, for JSON."""
@@ -201,6 +219,7 @@ def _tally_as_json(tally: Tally) -> dict[str, Any]:
         "rejected": dict(sorted(tally.rejected.items())),
         "unambiguous": tally.unambiguous,
         "rarest": dict(sorted(tally.rarest.items())),
+        "graphs": dict(sorted(tally.graphs.items())),
         "step_labels": tally.step_labels.tolist(),
         "edges": tally.edges.tolist(),
         "rule_gold": tally.rule_gold.counts.tolist(),

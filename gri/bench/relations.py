@@ -203,15 +203,15 @@ def markdown(table: pd.DataFrame, plan: Plan) -> str:
     ]
     for family in (NEAR, WIDE):
         least, most = family.headway
-        parts += [f"First headways of {least:g} to {most:g} m:", _pivot(accuracy, f", {family.name}")]
+        parts += [f"First headways of {least:g} to {most:g} m:", pivot(accuracy, f", {family.name}")]
     parts += [
         "## False follow in controls [%]",
         'No vehicle reacts to another one of the scene, so every "follow" is wrong.',
-        _pivot(false, ""),
+        pivot(false, ""),
         "## Unknown worlds: AUROC of uncertainty",
         "Probability that a row trusts itself less in a scene of an unknown world than in one of the drivers above; 0.5"
         " is chance. The uncertainty of a scene is the mean over its scored pairs.",
-        _pivot(table[table["score"] == "unknown_auc"], "", _plain),
+        pivot(table[table["score"] == "unknown_auc"], "", _plain),
         "## How far probabilities can be trusted",
         "Foreign drivers, all seeds together. Left out of the diagram: bins with fewer than 20 pairs.",
         "![Share of true edges against P(follow), one panel per row](relations_reliability.svg)",
@@ -228,7 +228,7 @@ def _plain(value: float, low: float, high: float) -> str:
     return "–" if np.isnan(value) else f"{value:.2f} ({low:.2f}–{high:.2f})"
 
 
-def _pivot(part: pd.DataFrame, suffix: str, cell: Callable[[float, float, float], str] = _percent) -> str:
+def pivot(part: pd.DataFrame, suffix: str, cell: Callable[[float, float, float], str] = _percent) -> str:
     """A line per row of the benchmark, a column per test set whose name ends with the suffix."""
     sets = [name for name in dict.fromkeys(part["set"]) if name.endswith(suffix)]
     cells = {

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from gri.commands.models import one_thread
+from gri.errors import InputError
 from gri.terminal import ProgressDisplay, next_command, notice, say
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Measure what inferred relations are worth.")
@@ -26,6 +27,15 @@ def relations(
         list[Path] | None,
         typer.Option(help="NGSIM file: score recorded traffic instead of simulated drivers; repeatable."),
     ] = None,
+    sumo: Annotated[
+        list[Path] | None,
+        typer.Option(
+            exists=True,
+            dir_okay=False,
+            help="Scene file of `cosim scenes --kind triple --gold`: score SUMO's drivers as well; repeatable.",
+        ),
+    ] = None,
+    only_sumo: Annotated[bool, typer.Option("--only-sumo", help="Score nothing but the files of --sumo.")] = False,
 ) -> None:
     """Score relations on scenes whose true graph is known.
 
@@ -33,20 +43,29 @@ def relations(
     anybody. With --recordings: recorded car following, and controls made of
     it. The same command continues where it was stopped.
     """
+    if only_sumo and not sumo:
+        raise InputError("--only-sumo: got no file, wanted some; give --sumo FILE")
     one_thread()
     from gri.bench.recorded_relations import RecordedPlan, run_recorded
     from gri.bench.relations import Plan, run
+    from gri.bench.sumo_relations import SumoPlan, run_sumo
 
     try:
         with ProgressDisplay() as progress:
             if recordings:
                 run_recorded(RecordedPlan(out, tuple(recordings), seeds, tuple(row or ()), lanes=not row), progress)
-            else:
+            elif not only_sumo:
                 run(Plan(out, seeds, scenes, tuple(row or ())), progress)
+            if sumo:
+                run_sumo(SumoPlan(out, tuple(sumo), seeds, tuple(row or ())), progress)
     except KeyboardInterrupt:
         notice("stopped; finished rows are kept, the same command continues")
         raise typer.Exit(130) from None
-    written = ("recorded.md", "recorded.csv") if recordings else ("relations.md", "relations.csv", "relations.json")
-    for name in written:
+    simulated = () if only_sumo else ("relations.md", "relations.csv", "relations.json")
+    for name in ("recorded.md", "recorded.csv") if recordings else simulated:
         say(str(out / name))
+    for name in ["sumo.md", "sumo.csv", "sumo.json"] if sumo else []:
+        say(str(out / name))
+    if not sumo:
+        notice("SUMO's drivers are left out; give files of `cosim scenes --kind triple --gold` as --sumo")
     next_command("gri evaluate CHECKPOINT --scene-file FILE")

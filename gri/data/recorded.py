@@ -30,7 +30,7 @@ def recorded_scenes(path: Path | Sequence[Path], scenes: RecordedRange, split: s
     found = joined([part for each in paths for part in _read_file(each, scenes, split)])
     state = _lateral_from_leader(found.trajectory.state) if "y" in dynamics.state else found.trajectory.state
     if scenes.length is not None:
-        state = _with_vehicle_length(scenes.length, state, found.length)
+        state = with_vehicle_length(scenes.length, state, found.length)
     state = _from_start_of_vehicle_0(state)
     action = dynamics.inverse(state[:, :-1, :-1], state[:, :-1, 1:], found.trajectory.dt)
     return Scenes(state, action, found.graph), found
@@ -93,7 +93,7 @@ def _lateral_from_leader(state: Float[Tensor, "S N T D"]) -> Float[Tensor, "S N 
     return shifted
 
 
-def _with_vehicle_length(
+def with_vehicle_length(
     length: float, state: Float[Tensor, "S N T D"], lengths: Float[Tensor, "S N"]
 ) -> Float[Tensor, "S N T D"]:
     """The states with x shifted so that net gaps stay the same when every vehicle is `length` [m] long.

@@ -95,6 +95,33 @@ def read(path: Path, kind: str, dynamics: Dynamics, vocabulary: Vocabulary, spli
     )
 
 
+def read_step_edges(path: Path, kind: str, vocabulary: Vocabulary, split: str) -> Int[np.ndarray, "S E T"]:
+    """Edge types of every step, as indices into the vocabulary, of the scenes that `read` reads.
+
+    Errors: `InputError` if the file does not have them, or has an edge type outside the vocabulary.
+    """
+    n = read_header(opened(path), path).vehicles
+    table = _columns(path, [f"step_edge_from_{i}" for i in range(n)], kind, split)
+    columns = [table[:, :, :, i] for i in range(n)]
+    names = np.stack([columns[i][:, j] for i, j in pairs(n)], 1)
+    if any(name is None for name in names.ravel()):
+        raise InputError(f"{path}: has no edges per step for kind {kind}; make the file again")
+    return _indices(names.reshape(len(names), -1), vocabulary, path).reshape(names.shape)
+
+
+def read_lateral(path: Path, kind: str, split: str) -> Float[np.ndarray, "S N T"]:
+    """Lateral positions y [m] of the scenes that `read` reads."""
+    return _columns(path, ["y"], kind, split)[..., 0].astype(float)
+
+
+def _columns(path: Path, names: Sequence[str], kind: str, split: str) -> np.ndarray:
+    """[S, N, T, C] Columns of the scenes of a kind and split, all of one number of steps."""
+    filters = [("kind", "=", kind), ("split", "=", split)]
+    table = pq.read_table(path, columns=["step", *names], filters=filters)
+    shape = (-1, read_header(opened(path), path).vehicles, int(table["step"].to_numpy().max()) + 1)
+    return np.stack([table[name].to_numpy(zero_copy_only=False).reshape(shape) for name in names], -1)
+
+
 def scene_counts(path: Path) -> set[tuple[str, str]]:
     """The pairs (kind, split) for which a file has scenes. Errors: `InputError` if it is not a scene file."""
     read_header(opened(path), path)

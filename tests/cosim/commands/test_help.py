@@ -30,7 +30,7 @@ def test_help_fits_eighty_columns_and_is_not_cut(pages):
         (["fly"], 2, "No such command"),
         (["batch", "no_such_batch"], 2, "no_such_batch"),
         (["run", "no_such_scenario"], 2, "no_such_scenario"),
-        (["scenes", "us101_merge", "--out", "x", "--kind", "weave"], 2, "wanted car_following or merge"),
+        (["scenes", "us101_merge", "--out", "x", "--kind", "weave"], 2, "wanted one of car_following, merge, triple"),
         (["traffic", "no_such_scenario"], 2, "no_such_scenario"),
         (["scenes", "no_such_scenario", "--out", "x"], 2, "no_such_scenario"),
         (["stress", "us101_merge", "--intensity", "much"], 2, "expected numbers"),

@@ -10,7 +10,7 @@ from gri.errors import InputError
 def test_kinds_are_named_once_and_in_order():
     assert kinds_of(None) == ("car_following", "merge")
     assert kinds_of(["merge", "merge"]) == ("merge",)
-    with pytest.raises(InputError, match="--kind: got 'weave', wanted car_following or merge"):
+    with pytest.raises(InputError, match="--kind: got 'weave', wanted one of car_following, merge, triple"):
         kinds_of(["weave"])
 
 

@@ -6,10 +6,11 @@ import msgspec
 import numpy as np
 
 from cosim.measures.relation_labels import NO_VEHICLE
-from cosim.scenes.candidates import Window, following_chains, merge_window, rows_at_every_step
+from cosim.scenes.candidates import Window, following_chains, merge_window, rows_at_every_step, triples
 from cosim.scenes.lane_change_requests import LaneChangeEvent
 from cosim.scenes.scene_rules import Rules
-from cosim.scenes.trajectory_buffer import COLUMN, COLUMNS, BufferedStep, Lane, VehicleNumbers
+from cosim.scenes.trajectory_buffer import COLUMN, COLUMNS, BufferedStep, Lane, RoadSection, VehicleNumbers
+from cosim.world.road_frame import RoadFrame
 from cosim.world.snapshot import LaneChange
 
 LANES = [Lane("road", np.array([[0.0, y], [100.0, y]]), 100.0, y) for y in (-3.5, 0.0)]
@@ -59,6 +60,43 @@ def test_vehicles_that_are_missing_in_a_step_have_no_rows():
     assert rows is not None
     assert rows.tolist() == [[1, 0], [0, 1]]
     assert rows_at_every_step([*both, buffered_step(2, {5: 0}, {})], [6, 5]) is None
+
+
+def section(lanes: list[Lane]) -> RoadSection:
+    found = object.__new__(RoadSection)
+    found.lanes, found.centres = lanes, [lane.centre for lane in lanes]
+    found.names, found.road = ["road_0", "road_1"], RoadFrame(np.array([[0.0, 0.0], [500.0, 0.0]]), 0.0)
+    return found
+
+
+def lined_up(lane: dict[int, int], leader: dict[int, int], places: dict[int, float]) -> list[BufferedStep]:
+    steps = [buffered_step(k, lane, leader) for k in range(4)]
+    for step in steps:
+        step.values[:, COLUMN["position"]] = [places[number] for number in lane]
+    return steps
+
+
+def test_triples_are_sorted_by_the_graph_that_leaders_suggest():
+    long = [Lane("road", np.array([[0.0, y], [500.0, y]]), 500.0, y) for y in (-3.5, 0.0)]
+    places = {0: 0.0, 1: 30.0, 2: 60.0, 3: 90.0, 5: 14.0, 6: 74.0}
+    steps = lined_up({0: 0, 1: 0, 2: 0, 3: 0, 5: 1, 6: 1}, {0: 1, 1: 2, 2: 3, 5: 6}, places)
+    found = triples(steps, section(long), RULES)
+    assert found["0 follows 1, 1 follows 2"] == [(0, 1, 2), (1, 2, 3)]
+    assert found["0 follows 2"] == [(0, 5, 1), (2, 6, 3), (5, 1, 6)]  # vehicles 5 and 6 drive in the lane beside
+    assert (0, 2, 3) in found["1 follows 2"]  # vehicle 1 is between 0 and 2
+    assert (0, 5, 6) in found["1 follows 2"]
+    assert (0, 1, 3) in found["0 follows 1"]
+    assert (0, 5, 2) in found["nobody follows"]
+    for trios in found.values():
+        assert all(places[a] + 7 <= places[b] and places[b] + 7 <= places[c] for a, b, c in trios)
+
+
+def test_vehicles_that_change_lanes_or_leave_are_in_no_triple():
+    long = [Lane("road", np.array([[0.0, y], [500.0, y]]), 500.0, y) for y in (-3.5, 0.0)]
+    steps = lined_up({0: 0, 1: 0, 2: 0}, {0: 1, 1: 2}, {0: 0.0, 1: 30.0, 2: 60.0})
+    assert triples(steps, section(long), RULES)["0 follows 1, 1 follows 2"] == [(0, 1, 2)]
+    steps[2].values[1, COLUMN["lane"]] = 1
+    assert not any(triples(steps, section(long), RULES).values())
 
 
 def merge(steps: list[BufferedStep], rules: Rules = RULES, behind: str = "a.1", state: int = STRATEGIC):

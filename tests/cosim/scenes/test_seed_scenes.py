@@ -7,7 +7,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cosim.scenes.scene_rules import HYPOTHESIS, Rules
+from cosim.measures.relation_labels import Reduction
+from cosim.scenes.scene_rules import HYPOTHESIS, TRIPLE_SHARES, Rules
 from cosim.scenes.seed_scenes import SeedSpec, SeedStatistics, extract_scenes
 from cosim.spec.input_files import find_net
 from cosim.spec.loading import load_scenario
@@ -101,6 +102,19 @@ def test_interventions_agree_with_the_rules_of_following(tmp_path: Path):
     assert np.trace(counts) / counts.sum() > 0.97
     follows = found[(found["role"] == 0) & (found["step_edge_from_1"] == "follow")]
     assert (follows["effect_from_1"] < -0.1).all()
+
+
+@pytest.mark.slow
+def test_triples_have_the_wanted_graphs(tmp_path: Path):
+    rules = Rules(reduction=Reduction.LONGEST)
+    found, figures = extracted(tmp_path, short(time_limit=120.0), kinds=("triple",), count=20, gold=True, rules=rules)
+    wanted = {name: round(20 * share) for name, share in TRIPLE_SHARES.items()}
+    assert figures.tallies["triple"]["graphs"] == wanted
+    x = found.pivot_table(index=["scene", "step"], columns="role", values="x").to_numpy()
+    assert np.diff(x).min() >= 6.0  # 7 m from front to front, at positions of half a step later
+    lane = found[found["step"] == 0].pivot_table(index="scene", columns="role", values="y").to_numpy()
+    followers = found[(found["role"] == 0) & (found["step"] == 0)]["edge_from_2"].to_numpy() == "follow"
+    assert (np.abs(lane[followers, 1] - lane[followers, 0]) > 2).all()  # the vehicle in between is in another lane
 
 
 def test_a_finer_step_gives_scenes_of_the_same_rate(tmp_path: Path):
