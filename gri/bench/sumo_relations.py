@@ -12,13 +12,24 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import torch
+from jaxtyping import Bool, Float
 
 from gri.bench.relations import Plan, pivot, write
-from gri.bench.rows import UPDATES, Infer, Row
+from gri.bench.rows import UPDATES, Row
 from gri.bench.scores import SCORES, score
-from gri.bench.sumo_scenes import AHEAD, SumoFile, SumoScenes, best_constant, joined, lengthened, read_sumo_file
+from gri.bench.sumo_scenes import (
+    AHEAD,
+    SumoFile,
+    SumoScenes,
+    best_constant,
+    joined,
+    lengthened,
+    matched_auc_score,
+    read_sumo_file,
+)
 from gri.progress import Progress, no_progress
 
 VERSION = 1  # of the scores; another one makes all jobs again
@@ -49,12 +60,16 @@ class SumoPlan:
         return [of.parts[name] for of in self.read]
 
     @cached_property
-    def sets(self) -> dict[str, SumoScenes]:
-        """Test scenes by car-following model, and all of them whose relations never change."""
-        models = dict.fromkeys(of.drivers for of in self.read)
-        sets = {model: joined([of.parts["test"] for of in self.read if of.drivers == model]) for model in models}
-        every = joined(self.part("test"))
-        return sets | {"all": every, "unambiguous": every[every.unambiguous]}
+    def test(self) -> SumoScenes:
+        """All test scenes."""
+        return joined(self.part("test"))
+
+    @cached_property
+    def sets(self) -> dict[str, Bool[np.ndarray, " S"]]:
+        """Which test scenes belong to a set: by car-following model, all, and those whose relations never change."""
+        drivers = np.concatenate([[of.drivers] * len(of.parts["test"].known) for of in self.read])
+        models = {model: drivers == model for model in dict.fromkeys(of.drivers for of in self.read)}
+        return models | {"all": np.ones(len(drivers), bool), "unambiguous": self.test.unambiguous}
 
     def file(self, row: Row, seed: int) -> Path:
         """Where the result of a job is kept; the name changes with whatever changes the result."""
@@ -96,18 +111,20 @@ def run_sumo(plan: SumoPlan, progress: Progress = no_progress) -> pd.DataFrame:
 def _result(plan: SumoPlan, row: Row, seed: int) -> list[dict[str, Any]]:
     train, validation = ([of.known for of in plan.part(name)] for name in ("train", "validation"))
     infer = row.prepare(train, validation, seed)
-    return [{"set": name, "scores": scores_of(infer, scenes)} for name, scenes in plan.sets.items()]
+    p = infer(plan.test.known).numpy()[:, AHEAD]
+    return [{"set": name, "scores": scores_of(p[of], plan.test[of])} for name, of in plan.sets.items()]
 
 
-def scores_of(infer: Infer, scenes: SumoScenes) -> dict[str, dict[str, float]]:
-    """All scores of a row on scenes, of pairs whose sender is ahead."""
-    p, truth = infer(scenes.known).numpy()[:, AHEAD], scenes.truth
+def scores_of(p: Float[np.ndarray, "S F"], scenes: SumoScenes) -> dict[str, dict[str, float]]:
+    """All scores of P(follow) of the pairs whose sender is ahead."""
+    truth = scenes.truth
     by_step = lengthened(p, scenes.steps)
     found = {name: score(name, p, truth) for name in SCORES}
     found |= {f"step_{name}": score(name, *by_step) for name in ("balanced_accuracy", "macro_f1")}
     # Missing edges of the other kind count as true, so that they do not count.
     found["false_follow_same_lane"] = score("false_follow", p, truth | ~scenes.same_lane)
     found["false_follow_lane_beside"] = score("false_follow", p, truth | scenes.same_lane)
+    found["matched_auc"] = matched_auc_score(p, scenes)
     return {name: asdict(value) for name, value in found.items()}
 
 
@@ -117,6 +134,7 @@ def markdown(table: pd.DataFrame, plan: SumoPlan) -> str:
     columns = {
         "macro_f1": "macro-F1",
         "auc": "AUC",
+        "matched_auc": "AUC at equal geometry",
         "calibration_error": "calibration error",
         "step_balanced_accuracy": "per step: balanced accuracy",
         "step_macro_f1": "per step: macro-F1",
@@ -124,14 +142,13 @@ def markdown(table: pd.DataFrame, plan: SumoPlan) -> str:
         "false_follow_lane_beside": "false follow: lane beside",
     }
     more = every[every["score"].isin(list(columns))].assign(set=lambda part: part["score"].map(columns))
-    scenes = len(plan.sets["all"].known)
     return (
         "\n\n".join(
             [
                 "# Who reacts to whom in SUMO: scores",
-                f"{scenes} test scenes of {len(plan.files)} files, {plan.seeds} seeds for rows that depend on one."
-                " [How to read this, and how it is made](../../relations-sumo.md).",
-                f"The best constant graph is right in {100 * best_constant(plan.sets['all'].truth):.0f} % of the scored"
+                f"{len(plan.test.known)} test scenes of {len(plan.files)} files, {plan.seeds} seeds for rows that"
+                " depend on one. [How to read this, and how it is made](../../relations-sumo.md).",
+                f"The best constant graph is right in {100 * best_constant(plan.test.truth):.0f} % of the scored"
                 " pairs. In brackets: 95 % over scenes, widened to the least and the greatest seed.",
                 "## Balanced accuracy [%]",
                 pivot(table[table["score"] == "balanced_accuracy"], ""),
@@ -153,7 +170,7 @@ def card(plan: SumoPlan) -> dict[str, Any]:
         )
     named: Sequence[tuple[str, SumoScenes]] = [
         *((name, joined(plan.part(name))) for name in ("train", "validation")),
-        *plan.sets.items(),
+        *((name, plan.test[of]) for name, of in plan.sets.items()),
     ]
     sets = [
         {

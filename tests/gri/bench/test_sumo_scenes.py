@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gri.bench.sumo_relations import SumoPlan, card, run_sumo
-from gri.bench.sumo_scenes import AHEAD, best_constant, read_sumo_file
+from gri.bench.sumo_scenes import AHEAD, best_constant, matched_auc, read_sumo_file
 from gri.core.edges import pairs
 from gri.data.scene_file.schema import Header, SceneBlock, writing
 from gri.errors import InputError
@@ -92,22 +92,33 @@ def test_the_best_constant_is_the_best_of_all_graphs():
     assert best_constant(truth) == pytest.approx(7 / 9)
 
 
+def test_at_equal_geometry_a_row_that_sees_geometry_only_is_at_chance():
+    rng = np.random.default_rng(0)
+    truth = rng.random((200, 3)) < 0.5
+    gap = np.where(truth, 1.0, 1.5) * np.exp(0.3 * rng.standard_normal(truth.shape))
+    same = np.zeros_like(gap)
+    assert matched_auc(1 / gap, truth, gap, same) == pytest.approx(0.5, abs=0.1)
+    assert matched_auc(truth.astype(float), truth, gap, same) == 1.0
+    assert matched_auc(1 - truth.astype(float), truth, gap, same) == 0.0
+    assert np.isnan(matched_auc(gap, truth, np.where(truth, 1.0, 9.0), same))
+
+
 def test_constant_rows_score_as_they_must(file: Path, tmp_path: Path):
     plan = SumoPlan(tmp_path / "out", (file,), seeds=1, rows=("nobody follows", "everybody follows the next"))
     table = run_sumo(plan).set_index(["row", "set", "score"])["value"]
     nobody, chain = "nobody follows", "everybody follows the next"
     assert table[nobody, "EIDM", "balanced_accuracy"] == 0.5
     assert table[nobody, "all", "false_follow"] == 0.0
-    truth = plan.sets["all"].truth
+    truth = plan.test.truth
     called = np.array([[i == j + 1 for i, j in np.array(pairs(3))[AHEAD]]] * COUNT)
     wanted = (called[truth].mean() + (~called[~truth]).mean()) / 2
     assert table[chain, "all", "balanced_accuracy"] == pytest.approx(wanted)
-    steps = plan.sets["all"].steps
+    steps = plan.test.steps
     every = np.broadcast_to(called[..., None], steps.shape)
     by_step = (every[steps].mean() + (~every[~steps]).mean()) / 2
     assert table[chain, "all", "step_balanced_accuracy"] == pytest.approx(by_step)
     assert by_step != pytest.approx(wanted)
-    beside = ~truth & ~plan.sets["all"].same_lane
+    beside = ~truth & ~plan.test.same_lane
     assert table[chain, "all", "false_follow_lane_beside"] == pytest.approx(called[beside].mean())
     first = (tmp_path / "out/sumo.csv").read_bytes()
     run_sumo(plan)
