@@ -17,6 +17,7 @@ import pandas as pd
 import torch
 from jaxtyping import Bool, Float
 
+from gri.bench.answers import ask
 from gri.bench.relations import Plan, pivot, write
 from gri.bench.rows import UPDATES, Row
 from gri.bench.scores import SCORES, score
@@ -111,7 +112,7 @@ def run_sumo(plan: SumoPlan, progress: Progress = no_progress) -> pd.DataFrame:
 def _result(plan: SumoPlan, row: Row, seed: int) -> list[dict[str, Any]]:
     train, validation = ([of.known for of in plan.part(name)] for name in ("train", "validation"))
     infer = row.prepare(train, validation, seed)
-    p = infer(plan.test.known).numpy()[:, AHEAD]
+    p = ask(infer, plan.test.known).follow.numpy()[:, AHEAD]
     return [{"set": name, "scores": scores_of(p[of], plan.test[of])} for name, of in plan.sets.items()]
 
 
