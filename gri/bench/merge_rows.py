@@ -9,6 +9,7 @@ from torch import Tensor
 
 from gri import checkpoint
 from gri.bench.merge_classifier import K, frame_features, teach
+from gri.bench.merge_encoder import per_step, teach_encoder
 from gri.bench.merge_scenes import MergeScenes, X, Y
 from gri.core.edges import LANE_CHANGING
 from gri.relations.merge_explanations import ALL_TERMS, CONSTANTS, Terms
@@ -126,6 +127,20 @@ def _posterior(terms: Terms = ALL_TERMS, learn: bool = True) -> Prepare:
     return prepare
 
 
+def _encoder(train: Training, seed: int) -> Infer:
+    """An encoder with 5 s of history that is taught the posterior of the training scenes."""
+    constants = train.constants(seed)
+    target = torch.cat([relations(part.motion(), constants) for part in train.scenes])
+    state = torch.cat([as_the_models_see(part) for part in train.scenes])
+    encoder = teach_encoder(state, target, train.scenes[0].dt, seed)
+
+    def infer(scenes: MergeScenes) -> Inferred:
+        steps = per_step(encoder, as_the_models_see(scenes))
+        return Inferred(steps, scene_graphs(steps, scenes.motion(), constants))
+
+    return infer
+
+
 def _released(name: str) -> Prepare:
     """One graph from the first states, as the model wants to see them, for all steps."""
 
@@ -169,6 +184,7 @@ ROWS: tuple[Row, ...] = (
     Row("released: us101_merge", "no labels", _released("us101_merge")),
     Row("released: mixed_merge", "labels (SUMO's)", _released("mixed_merge")),
     Row(POSTERIOR, "no labels", _posterior(), varies=True),
+    Row("encoder taught by the posterior, 5 s of history", "no labels", _encoder),
     Row("labelled, whole scene (ceiling)", "labels", _taught(5), varies=True),
     _without("one-sided binding", Terms(one_sided=False)),
     _without("unknown headways and gaps", Terms(latent_driver=False)),

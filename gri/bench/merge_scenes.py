@@ -1,7 +1,6 @@
 """Merges of scene files with the relations of every step, and controls in which a relation is broken on purpose."""
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -174,8 +173,3 @@ def _apart(scenes: MergeScenes) -> MergeScenes:
         gap = scenes.state[:, other, :, X] - scenes.state[:, LAG, :, X] - length[:, other, None]
         good &= ~(motion.same_lane(other, LAG) & (gap < 0)).any(-1)
     return scenes[torch.nonzero(good)[:, 0]]
-
-
-def joined_states(parts: Sequence[MergeScenes]) -> Float[Tensor, "S 3 T D"]:
-    """States of several sites, for rows that learn from all of them."""
-    return torch.cat([part.state for part in parts])

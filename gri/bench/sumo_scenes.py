@@ -14,8 +14,7 @@ import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
 
-from gri.bench.car_following_scenes import LENGTH, OWN, KnownScenes
-from gri.bench.rows import WINDOW
+from gri.bench.car_following_scenes import LENGTH, OWN, WINDOW, KnownScenes
 from gri.bench.scores import Score
 from gri.core.dynamics import POINT_MASS_1D
 from gri.core.edges import FOLLOWING, EdgeType, pairs

@@ -4,13 +4,16 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import pandas as pd
 import pytest
 
-from gri.paper import rows
+from gri.paper import rows, wrong_constants
 from gri.paper.plan import Plan
 from gri.paper.publish import publish
 from gri.paper.rows import IDM, ROWS
+from gri.paper.wrong_constants import Case
+from gri.training.grounded.constants_search import ConstantsSearch
 
 
 def test_car_following_has_every_row_beside_the_papers_figures(following_file: Path, tmp_path: Path, short: None):
@@ -69,3 +72,16 @@ def test_every_synthetic_target_is_written_by_processes(tmp_path: Path, monkeypa
         assert made["seeds"] == [0]
         assert made["jobs"] == 2
     assert (tmp_path / "figures" / "f8_success_car_following.png").is_file()
+
+
+def test_wrong_constants_are_written_with_their_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    search = ConstantsSearch(draws=1, screening_scenes=2, scenes=4, rounds=((1, 1),), batch=2)
+    monkeypatch.setattr(wrong_constants, "CASES", (Case("all x2", {"time_headway": 2.0}, search),))
+    idm = msgspec.structs.replace(wrong_constants.EXPERTS["idm"], train=6)
+    monkeypatch.setattr(wrong_constants, "EXPERTS", {"idm": idm})
+    plan = Plan("constants", 1, 8, tmp_path, tmp_path / "jobs", tmp_path / "scenes")
+    written = publish(plan)
+    assert {path.name for path in written} == {f"constants.{kind}" for kind in ("md", "csv", "parquet", "json")}
+    assert json.loads((tmp_path / "constants.json").read_text())["command"].startswith("gri reproduce constants")
+    assert len(pd.read_parquet(tmp_path / "constants.parquet")) == 1
+    assert publish(replace(plan, finished=True)) == written
