@@ -46,7 +46,10 @@ TAUGHT_KINDS = (
 )
 """What the contrastive network is taught; all other controls are unknown to it."""
 SIMULATED = ("nobody follows", "everybody follows the next", "prior alone", "untrained encoder")
-RELEASED = ("released: us101_car_following", "released: ngsim_car_following", "released: sumo_car_following")
+RELEASED = tuple(
+    f"released: {name}"
+    for name in ("us101_car_following", "ngsim_car_following", "ngsim_relations", "sumo_car_following")
+)
 
 
 @dataclass(frozen=True)
@@ -144,7 +147,7 @@ def _rows() -> Sequence[RecordedRow]:
         RecordedRow("lagged correlation", f"{strangers} (threshold)", _scored(lagged_correlation)),
         RecordedRow("Granger test", f"{strangers} (threshold)", _scored(granger)),
         RecordedRow("geometry of the last frame", strangers, _last_frame, varies=True),
-        *(from_simulation(known[name], name.endswith("ngsim_car_following")) for name in RELEASED),
+        *(from_simulation(known[name], "ngsim" in name) for name in RELEASED),
         from_simulation(known["closed form"]),
         RecordedRow("closed form, weights from recordings", strangers, _closed_form, varies=True),
         from_simulation(known["labelled classifier (ceiling)"]),

@@ -219,6 +219,7 @@ ROWS: tuple[Row, ...] = (
     US101,
     _with_prior(US101),
     _released("ngsim_car_following"),
+    _released("ngsim_relations"),
     Row("released: sumo_car_following", "labels (SUMO's)", _released("sumo_car_following").prepare),
     Row("closed form", "no labels; prior: one of those ahead, weights learned", closed_form, varies=True),
     Row(

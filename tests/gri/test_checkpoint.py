@@ -111,6 +111,7 @@ def test_tensors_of_another_size_are_named(saved: tuple[Path, RelationalModel]):
         ("mixed_merge", 25),
         ("ngsim_car_following", 30),
         ("ngsim_lane_changing", 40),
+        ("ngsim_relations", 30),
         ("sumo_car_following", 25),
         ("us101_car_following", 25),
         ("us101_car_following_supervised", 25),
