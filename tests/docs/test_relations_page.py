@@ -29,7 +29,8 @@ def test_the_readme_quotes_the_released_scores():
     part = table[(table["kind"] == "drivers") & (table["score"] == "balanced_accuracy")]
     mean = part.groupby("row")["value"].mean().mul(100).round().astype(int)
     text = " ".join((DOCS.parent / "README.md").read_text().split())
-    assert mean["released: us101_car_following"] == mean["everybody follows the next"]
-    constant = mean["everybody follows the next"]
-    assert f"`us101_car_following` has {constant} % balanced accuracy, and so has the constant answer" in text
-    assert f"taught the relations has {mean['labelled classifier (ceiling)']} %" in text
+    released, constant = mean["released: us101_car_following"], mean["everybody follows the next"]
+    assert released > constant + 5
+    assert f"`us101_car_following` has {released} % balanced accuracy" in text
+    assert f'"everybody follows the next" {constant} %' in text
+    assert f"taught the relations {mean['labelled classifier (ceiling)']} %" in text
