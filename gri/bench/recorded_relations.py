@@ -84,8 +84,8 @@ def run_recorded(plan: RecordedPlan, progress: Progress = no_progress) -> pd.Dat
     digests = [sha256(path.read_bytes()).hexdigest() for path in plan.files]
     found = finish(
         jobs,
-        lambda *job: plan.file(*job, digests),
-        lambda *job: _result(recordings, *job),
+        lambda row, window, seed: plan.file(row, window, seed, digests),
+        lambda row, window, seed: _result(recordings, row, window, seed),
         "recorded relations",
         progress,
     )

@@ -15,7 +15,11 @@ HAND_WRITTEN = [
     for path in sorted(DOCS.glob("**/*.md"))
     if not re.search(r"(yaml-fields|commands|stress|table\d|ood)\.md$", path.name) or path.parent == DOCS
 ]
-LONG = {"decisions/016-rooms-and-names.md", "reference/run-tables.md"}  # to look things up in
+LONG = {  # to look things up in
+    "decisions/016-rooms-and-names.md",
+    "reference/run-tables.md",
+    "results/relations/relations.md",
+}
 
 
 def images() -> list[tuple[Path, str]]:
