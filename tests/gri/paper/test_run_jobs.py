@@ -53,8 +53,7 @@ def test_an_interrupted_job_continues_and_gives_the_same_file(tmp_path: Path, mo
 def test_a_finished_recorded_job_is_not_trained_again(
     following_file: Path, tmp_path: Path, short: None, monkeypatch: pytest.MonkeyPatch
 ):
-    job = jobs_of(FOLLOWING, SceneFile(following_file, "abc"))[-1]
-    assert job.row.name == "Supervised"
+    (job,) = (j for j in jobs_of(FOLLOWING, SceneFile(following_file, "abc")) if j.row.name == "Supervised")
     run_jobs.run(job, tmp_path, tmp_path)
     result = job.result(tmp_path)
     assert result["graphs"] is None
