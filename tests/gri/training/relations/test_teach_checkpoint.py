@@ -12,7 +12,9 @@ from gri.relations.reaction_scenes import ReactionPrior, draw_reactions
 from gri.training.relations.teach_checkpoint import teach_model
 from gri.training.relations.teach_encoder import TeachingSettings
 
-TINY = TeachingSettings(scenes=600, updates=20, batch=32, window=(25, 25))
+TINY = TeachingSettings(
+    prior=ReactionPrior(settle=(0.0,)), scenes=600, steps=25, updates=20, policy_updates=5, batch=32, window=(25, 25)
+)
 
 
 def known_states(generator: torch.Generator) -> torch.Tensor:
