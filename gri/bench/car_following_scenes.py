@@ -71,7 +71,7 @@ class KnownScenes:
 
     def __getitem__(self, scenes: slice) -> "KnownScenes":
         """The selected scenes."""
-        return KnownScenes(self.state[scenes], self.leader[scenes], self.acceptance)
+        return KnownScenes(self.state[scenes], self.leader[scenes], self.acceptance, self.shown)
 
     def graph(self) -> Int[Tensor, "S E"]:
         """Type indices of all ordered pairs (sender, receiver): 1 where the receiver follows the sender."""

@@ -52,7 +52,7 @@ class SumoScenes:
     def __getitem__(self, scenes: Bool[np.ndarray, " S"] | Int[np.ndarray, " chosen"]) -> "SumoScenes":
         """The selected scenes."""
         rows = torch.from_numpy(scenes)
-        known = KnownScenes(self.known.state[rows], self.known.leader[rows], self.known.acceptance)
+        known = KnownScenes(self.known.state[rows], self.known.leader[rows], self.known.acceptance, self.known.shown)
         return SumoScenes(known, self.steps[scenes], self.same_lane[scenes])
 
 

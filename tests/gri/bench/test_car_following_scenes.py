@@ -63,3 +63,9 @@ def test_a_follower_answers_its_leader_and_nobody_else():
     correlation = (a * b).sum(-1) / ((a**2).sum(-1) * (b**2).sum(-1)).sqrt()
     follows = known.leader[:, 0] == 1
     assert correlation[follows].mean() > correlation[~follows].mean() + 0.2
+
+
+def test_selected_scenes_show_as_many_states_as_all():
+    known = replace(draw_scenes(NEAR, IDM, 4, 1), shown=12)
+    assert known[:2].shown == 12
+    assert len(known[:2]) == 2
