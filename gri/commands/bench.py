@@ -78,7 +78,7 @@ def lanes(
     scenes: Annotated[int, typer.Option(min=40, max=10_000, help="Scenes in each test set.")] = 200,
     row: Annotated[list[str] | None, typer.Option(help="Score only this row; repeatable.")] = None,
 ) -> None:
-    """Score relations of merges whose true relations are known at every step.
+    """Score relations of simulated merges, step by step.
 
     Merges, refused merges, lane changes that concern nobody and lane keepers
     beside a gap, by simulated drivers of six models. The same command continues

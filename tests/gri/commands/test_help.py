@@ -25,7 +25,15 @@ def test_help_fits_eighty_columns_and_is_not_cut(pages):
 
 def test_commands_stand_in_the_order_in_which_one_uses_them(pages):
     listed = pages[""][1].partition("Commands:")[2]
-    assert re.findall(r"^  (\w+)", listed, re.MULTILINE) == ["data", "train", "evaluate", "reproduce", "ngsim", "bench"]
+    assert re.findall(r"^  (\w+)", listed, re.MULTILINE) == [
+        "data",
+        "train",
+        "teach",
+        "evaluate",
+        "reproduce",
+        "ngsim",
+        "bench",
+    ]
 
 
 @pytest.mark.parametrize(
