@@ -1,5 +1,7 @@
 """The commands `gri bench relations`, `lanes` and `merges`: does a model see who reacts to whom?"""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
@@ -7,9 +9,21 @@ import typer
 
 from gri.commands.models import one_thread
 from gri.errors import InputError
+from gri.progress import Progress
 from gri.terminal import ProgressDisplay, next_command, notice, say
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Measure what inferred relations are worth.")
+
+
+@contextmanager
+def _resumable() -> Iterator[Progress]:
+    """Progress of a benchmark; Ctrl-C ends the command with exit code 130 and says that it can continue."""
+    try:
+        with ProgressDisplay() as progress:
+            yield progress
+    except KeyboardInterrupt:
+        notice("stopped; finished rows are kept, the same command continues")
+        raise typer.Exit(130) from None
 
 
 @app.callback()
@@ -50,17 +64,13 @@ def relations(
     from gri.bench.relations import Plan, run
     from gri.bench.sumo_relations import SumoPlan, run_sumo
 
-    try:
-        with ProgressDisplay() as progress:
-            if recordings and not only_sumo:
-                run_recorded(RecordedPlan(out, tuple(recordings), seeds, tuple(row or ()), lanes=not row), progress)
-            elif not only_sumo:
-                run(Plan(out, seeds, scenes, tuple(row or ())), progress)
-            if sumo:
-                run_sumo(SumoPlan(out, tuple(sumo), seeds, tuple(row or ())), progress)
-    except KeyboardInterrupt:
-        notice("stopped; finished rows are kept, the same command continues")
-        raise typer.Exit(130) from None
+    with _resumable() as progress:
+        if recordings and not only_sumo:
+            run_recorded(RecordedPlan(out, tuple(recordings), seeds, tuple(row or ()), lanes=not row), progress)
+        elif not only_sumo:
+            run(Plan(out, seeds, scenes, tuple(row or ())), progress)
+        if sumo:
+            run_sumo(SumoPlan(out, tuple(sumo), seeds, tuple(row or ())), progress)
     written = ("recorded.md", "recorded.csv") if recordings else ("relations.md", "relations.csv", "relations.json")
     for name in () if only_sumo else written:
         say(str(out / name))
@@ -87,12 +97,8 @@ def lanes(
     one_thread()
     from gri.bench.lanes import LanePlan, run_lanes
 
-    try:
-        with ProgressDisplay() as progress:
-            run_lanes(LanePlan(out, seeds, scenes, tuple(row or ())), progress)
-    except KeyboardInterrupt:
-        notice("stopped; finished rows are kept, the same command continues")
-        raise typer.Exit(130) from None
+    with _resumable() as progress:
+        run_lanes(LanePlan(out, seeds, scenes, tuple(row or ())), progress)
     for name in ("lanes.md", "lanes.csv", "lanes.json"):
         say(str(out / name))
     next_command("gri evaluate CHECKPOINT --scene-file FILE")
@@ -114,11 +120,7 @@ def merges(
     one_thread()
     from gri.bench.merges import Plan, run
 
-    try:
-        with ProgressDisplay() as progress:
-            run(Plan(out, tuple(scenes), tuple(train), seeds, tuple(row or ())), progress)
-    except KeyboardInterrupt:
-        notice("stopped; finished rows are kept, the same command continues")
-        raise typer.Exit(130) from None
+    with _resumable() as progress:
+        run(Plan(out, tuple(scenes), tuple(train), seeds, tuple(row or ())), progress)
     for name in ("merges.md", "merges.csv", "merges.json"):
         say(str(out / name))

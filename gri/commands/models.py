@@ -1,7 +1,8 @@
 """The commands about models: make scenes, train, evaluate."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 import typer
@@ -99,15 +100,10 @@ def teach(
     from gri import checkpoint
     from gri.training.relations.teach_checkpoint import teach_model
     from gri.training.relations.teach_encoder import TeachingSettings
-    from gri.training.train import TrainConfig
 
     path = resources.find_checkpoint(path)
     model, made = checkpoint.load(path), checkpoint.provenance(path)
-    if "config" not in made:
-        raise InputError(
-            f"{path}: the checkpoint does not say which scenes it was trained on; teach one of `gri train`"
-        )
-    config = msgspec.convert(made["config"], TrainConfig)
+    config = _trained_with(path, made)
     settings = TeachingSettings() if updates is None else TeachingSettings(updates=updates)
     windows, steps = None, model.history_steps
     if recordings:
@@ -142,15 +138,10 @@ def evaluate(
     from gri.data.recorded import scenes_to_test
     from gri.evaluation import evaluate as evaluation
     from gri.evaluation.true_relations import compare_with_truth, truth_tables
-    from gri.training.train import TrainConfig
 
     path = resources.find_checkpoint(path)
     model, made = checkpoint.load(path), checkpoint.provenance(path)
-    if "config" not in made:
-        raise InputError(
-            f"{path}: the checkpoint does not say which scenes it was trained on; evaluate one that `gri train` wrote"
-        )
-    config = msgspec.convert(made["config"], TrainConfig)
+    config = _trained_with(path, made)
     found = None
     if scene_file is None:
         test = _scenes(config, scenes).test
@@ -195,6 +186,17 @@ def _read(config: str) -> "TrainConfig":
     from gri.training.train import read_train_config
 
     return read_train_config(path)
+
+
+def _trained_with(path: Path, provenance: Mapping[str, Any]) -> "TrainConfig":
+    """The configuration that a checkpoint was trained with. Errors: `InputError` if the file does not say."""
+    from gri.training.train import TrainConfig
+
+    if "config" not in provenance:
+        raise InputError(
+            f"{path}: the checkpoint does not say which scenes it was trained on; give one that `gri train` wrote"
+        )
+    return msgspec.convert(provenance["config"], TrainConfig)
 
 
 def _scenes(config: "TrainConfig", folder: Path) -> "Splits":

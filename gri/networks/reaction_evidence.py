@@ -19,7 +19,8 @@ from torch import Tensor
 STANDSTILL, TIME_GAP = 7.0, 1.4  # [m], [s]
 DELAYS = (0.0, 0.2, 0.4, 0.8)  # [s]
 NOISE = (0.005, 0.015, 0.05, 0.15, 0.5)  # [m/s²]
-OWN = ((0.4, 0.4), (0.0, 0.5), (-0.1, 0.15), (0.0, 0.01))  # mean and standard deviation of ρ, c, b₁, b₂
+# Pairs of a mean and a standard deviation. Released encoders learned with these; another value is another encoder.
+OWN = ((0.4, 0.4), (0.0, 0.5), (-0.1, 0.15), (0.0, 0.01))  # ρ, c, b₁, b₂
 LINEAR = ((0.06, 0.3), (0.06, 0.3))  # g₁ [1/s²], g₂ [1/s]
 RATIO = ((0.7, 0.4), (0.6, 0.4))  # g₃ [m/s²], g₄ [1]
 EVIDENCES = 1 + 2 * len(DELAYS)
@@ -41,13 +42,24 @@ def reaction_evidence(
     found = []
     for delay in DELAYS:
         late = slice(first - round(delay / dt), a.shape[1] - round(delay / dt))
-        space, speed, leader = gap[:, late], own[:, late], other[:, late]
-        wanted = STANDSTILL + TIME_GAP * speed
-        linear = [(space - wanted).clamp(max=30.0), leader - speed]
-        ratio = [1 - (wanted / space).clamp(max=3.0) ** 2, speed * (leader - speed) / space]
-        for form, prior in ((linear, LINEAR), (ratio, RATIO)):
-            found.append(log_evidence(y, torch.stack(alone + form, -1), OWN + prior) - base)
+        for columns, prior in ((linear_columns, LINEAR), (ratio_columns, RATIO)):
+            reaction = columns(gap[:, late], own[:, late], other[:, late])
+            found.append(log_evidence(y, torch.stack(alone + reaction, -1), OWN + prior) - base)
     return torch.stack([base / y.shape[1], *found], -1)
+
+
+def linear_columns(
+    gap: Float[Tensor, "*B T"], own: Float[Tensor, "*B T"], other: Float[Tensor, "*B T"]
+) -> list[Float[Tensor, "*B T"]]:
+    """What g₁ and g₂ multiply: gap [m], speeds of receiver and sender [m/s]."""
+    return [(gap - (STANDSTILL + TIME_GAP * own)).clamp(max=30.0), other - own]
+
+
+def ratio_columns(
+    gap: Float[Tensor, "*B T"], own: Float[Tensor, "*B T"], other: Float[Tensor, "*B T"]
+) -> list[Float[Tensor, "*B T"]]:
+    """What g₃ and g₄ multiply; the gap must be positive."""
+    return [1 - ((STANDSTILL + TIME_GAP * own) / gap).clamp(max=3.0) ** 2, own * (other - own) / gap]
 
 
 def log_evidence(

@@ -22,17 +22,13 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from gri.core.edges import pairs
+from gri.networks.reaction_evidence import OWN, linear_columns, ratio_columns
 
 MOST_DELAY = 4  # steps; all explanations are judged on the same accelerations, from this step on
-STANDSTILL, TIME_GAP = 7.0, 1.4  # [m], [s]: only where the broad priors are centred
 LEAST_GAP = 1.0  # [m]
-
-OWN_MEAN = (0.4, 0.0, -0.1, 0.0)  # ρ, c [m/s²], b₁ [1/s], b₂ [1/m]
-OWN_SD = (0.4, 0.5, 0.15, 0.01)
-FORMS: dict[str, tuple[tuple[float, float], tuple[float, float]]] = {
-    "linear": ((0.06, 0.3), (0.06, 0.3)),  # g₁ [1/s²], g₂ [1/s]: means and standard deviations
-    "ratio": ((0.7, 0.4), (0.6, 0.4)),  # g₃ [m/s²], g₄ [1]
-}
+# Means and standard deviations of g₁ [1/s²] and g₂ [1/s], and of g₃ [m/s²] and g₄ [1]; narrower than the encoder's.
+LINEAR = ((0.06, 0.06), (0.3, 0.3))
+RATIO = ((0.7, 0.6), (0.4, 0.4))
 
 
 @dataclass(frozen=True)
@@ -176,23 +172,16 @@ def _evidence(
     y, before = a[..., MOST_DELAY:], a[..., MOST_DELAY - 1 : -1]
     now = v[..., MOST_DELAY:-1] - v[..., :1]
     base = [before, torch.ones_like(y), now, now**2]
-    found = []
     if gap is None or leader is None:
-        design = torch.stack(base, -1)
-        found = [_gaussian(y, design, OWN_MEAN, OWN_SD, grid)]
+        found = [_gaussian(y, torch.stack(base, -1), OWN, grid)]
     else:
-        for form, (mean, sd) in FORMS.items():
+        found = []
+        for columns, prior in ((linear_columns, LINEAR), (ratio_columns, RATIO)):
+            room = gap.clamp(min=LEAST_GAP) if columns is ratio_columns else gap
             for delay in grid.delays:
                 late = slice(MOST_DELAY - delay, v.shape[-1] - 1 - delay)
-                space, own, other = gap[..., late], v[..., late], leader[..., late]
-                wanted = STANDSTILL + TIME_GAP * own
-                if form == "linear":
-                    extra = [(space - wanted).clamp(max=30.0), other - own]
-                else:
-                    room = space.clamp(min=LEAST_GAP)
-                    extra = [1 - (wanted / room).clamp(max=3.0) ** 2, own * (other - own) / room]
-                design = torch.stack(base + extra, -1)
-                found.append(_gaussian(y, design, OWN_MEAN + mean, OWN_SD + sd, grid))
+                reaction = columns(room[..., late], v[..., late], leader[..., late])
+                found.append(_gaussian(y, torch.stack(base + reaction, -1), OWN + prior, grid))
     stacked = torch.cat(found, 0)
     return torch.logsumexp(stacked, 0) - log(len(stacked))
 
@@ -200,15 +189,14 @@ def _evidence(
 def _gaussian(
     y: Float[Tensor, "*B T"],
     design: Float[Tensor, "*B T P"],
-    mean: tuple[float, ...],
-    sd: tuple[float, ...],
+    prior: tuple[tuple[float, float], ...],
     grid: Grid,
 ) -> Float[Tensor, "G *B"]:
     """log N(y; X m, σ²R + X S X') for all σ and φ; R is the correlation of an autoregression of the noise with φ.
 
     The first value of the noise is taken as drawn from the innovations, as all others.
     """
-    m, s = torch.tensor(mean, dtype=y.dtype), torch.tensor(sd, dtype=y.dtype)
+    m, s = (torch.tensor(values, dtype=y.dtype) for values in zip(*prior, strict=True))
     residual, scaled = y - design @ m, design * s  # unit prior after scaling
     found = []
     for phi in grid.correlation:
@@ -216,7 +204,7 @@ def _gaussian(
         w = torch.cat([scaled[..., :1, :], scaled[..., 1:, :] - phi * scaled[..., :-1, :]], -2)
         gram, cross, square = w.mT @ w, (w.mT @ r[..., None])[..., 0], (r**2).sum(-1)
         for sigma in grid.noise:
-            inner = torch.eye(len(mean), dtype=y.dtype) + gram / sigma**2
+            inner = torch.eye(len(prior), dtype=y.dtype) + gram / sigma**2
             factor = torch.linalg.cholesky(inner)
             half = torch.linalg.solve_triangular(factor, cross[..., None] / sigma**2, upper=False)[..., 0]
             log_det = 2 * factor.diagonal(dim1=-2, dim2=-1).log().sum(-1) + 2 * y.shape[-1] * log(sigma)

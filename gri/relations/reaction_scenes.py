@@ -9,7 +9,7 @@ way to a leader that is not observed. So the null is fair: unobserved leaders ma
 posterior over graphs with all latents integrated out, without one constant of an expert.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -90,7 +90,12 @@ class Reactions:
 
 def draw_reactions(prior: ReactionPrior, count: int, steps: int, dt: float, generator: torch.Generator) -> Reactions:
     """`count` scenes of `steps` states, less those in which vehicles touch."""
-    parts = [_simulate(prior, count // len(prior.settle), steps, dt, settle, generator) for settle in prior.settle]
+    count //= len(prior.settle)
+    return joined([_simulate(prior, count, steps, dt, settle, generator) for settle in prior.settle])
+
+
+def joined(parts: Sequence[Reactions]) -> Reactions:
+    """All scenes of the parts, which have the same N and T."""
     return Reactions(*(torch.cat([getattr(part, name) for part in parts]) for name in ("x", "v", "leader")))
 
 
@@ -100,9 +105,8 @@ def _simulate(
     n, step = prior.vehicles, dt / SUBSTEPS
     shape = (count, n)
 
-    def draw(span: Span) -> Tensor:
-        low, high = torch.tensor(span).log().tolist()
-        return (low + (high - low) * torch.rand(shape, generator=generator)).exp()
+    def draw(span: Span, size: tuple[int, ...] = shape) -> Tensor:
+        return log_uniform(span, size, generator)
 
     def uniform(span: Span, size: tuple[int, ...] = shape) -> Tensor:
         return span[0] + (span[1] - span[0]) * torch.rand(size, generator=generator)
@@ -140,8 +144,7 @@ def _simulate(
     unseen_headway = torch.where(chance(0.5), draw(prior.headway), suited)
     delay = (uniform(prior.delay) / step).round().long() * chance(0.8)
     keep = torch.exp(-step / uniform(prior.lag).clamp(min=1e-3)) * chance(0.7)
-    low, high = torch.tensor(prior.quiet).log().tolist()
-    quiet = torch.where(chance(0.6, (count, 1)), uniform((low, high), (count, 1)).exp(), torch.ones(count, 1))
+    quiet = torch.where(chance(0.6, (count, 1)), draw(prior.quiet, (count, 1)), torch.ones(count, 1))
     act = Wander(quiet * draw(prior.action_noise), uniform((0.2, 3.0)), step, generator)
     wish = Wander(quiet * uniform((0.0, 1.8)) * chance(0.8), uniform((2.0, 20.0)), step, generator)
     see = Wander(quiet * draw(prior.perception_noise) * chance(0.6), uniform((0.5, 4.0)), step, generator)
@@ -169,6 +172,12 @@ def _simulate(
     apart = (states[:, 1:, :, 0] - states[:, :-1, :, 0] > LENGTH + 0.3).all(-1).all(-1)
     states, leader = states[apart], leader[apart]
     return Reactions(states[..., 0], states[..., 1], leader)
+
+
+def log_uniform(span: Span, size: tuple[int, ...], generator: torch.Generator) -> Tensor:
+    """Random values of this shape, whose logarithms are uniform."""
+    low, high = torch.tensor(span).log().tolist()
+    return (low + (high - low) * torch.rand(size, generator=generator)).exp()
 
 
 def _leaders(prior: ReactionPrior, count: int, generator: torch.Generator) -> Int[Tensor, "S N"]:
@@ -217,16 +226,18 @@ class Situation(NamedTuple):
     own: Tensor
 
 
+def _to_the_gap(d: Drivers, s: Situation) -> Tensor:
+    return (d.gap_gain * (s.gap - d.standstill - d.time_gap * s.v)).clamp(max=1.5)
+
+
 def _linear(d: Drivers, s: Situation) -> Tensor:
     """Linear in the gap and the speed difference; the lower of that and the own wish."""
-    error = s.gap - d.standstill - d.time_gap * s.v
-    return torch.minimum(s.own, (d.gap_gain * error).clamp(max=1.5) + d.speed_gain * (s.leader - s.v))
+    return torch.minimum(s.own, _to_the_gap(d, s) + d.speed_gain * (s.leader - s.v))
 
 
 def _added(d: Drivers, s: Situation) -> Tensor:
     """Linear in the gap and the speed difference, added to the own wish."""
-    error = s.gap - d.standstill - d.time_gap * s.v
-    return s.own.clamp(min=-2.0) / 2 + (d.gap_gain * error).clamp(max=1.5) + d.speed_gain * (s.leader - s.v)
+    return s.own.clamp(min=-2.0) / 2 + _to_the_gap(d, s) + d.speed_gain * (s.leader - s.v)
 
 
 def _wanted_ratio(d: Drivers, s: Situation) -> Tensor:

@@ -1,5 +1,5 @@
 """Counterfactual teaching: the encoder learns who reacts to whom, on drawn scenes and on scenes broken on purpose.
 
-`teach_encoder.teach_encoder` is the whole of it. Grounded training calls it where a configuration has `teaching`. Begin
-with `teach_encoder`.
+`teach_checkpoint.teach_model` gives a trained model a taught encoder; the command `gri teach` calls it.
+`teach_encoder` has the scenes and the loss, `recorded_windows` those of recordings. Begin with `teach_encoder`.
 """

@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from gri.networks.pair_encoder import NEVER, PairEncoder
 from gri.progress import Progress, no_progress
-from gri.relations.reaction_scenes import UNSEEN, ReactionPrior, Reactions, draw_reactions
+from gri.relations.reaction_scenes import UNSEEN, ReactionPrior, Reactions, draw_reactions, joined, log_uniform
 from gri.training.optimisation import Descent
 
 
@@ -116,7 +116,7 @@ def draw_pool(
         parts.append(draw_reactions(settings.prior, 4096, settings.steps, dt, generator))
         drawn += len(parts[-1])
         progress("scenes", min(drawn, settings.scenes), settings.scenes, 0.0)
-    return Reactions(*(torch.cat([getattr(part, name) for part in parts]) for name in ("x", "v", "leader")))
+    return joined(parts)
 
 
 def explanation_loss(encoder: PairEncoder, scenes: Reactions, merge_nulls: bool = False) -> Float[Tensor, ""]:
@@ -152,9 +152,8 @@ def broken_batch(pool: Reactions, settings: TeachingSettings, generator: torch.G
 
 def with_noise(scenes: Reactions, settings: TeachingSettings, generator: torch.Generator) -> Reactions:
     """Positions and speeds as they would be measured."""
-    low, high = torch.tensor(settings.measurement_noise).log().tolist()
     one_each = (len(scenes), 1, 1)
-    sd = (low + (high - low) * torch.rand(one_each, generator=generator)).exp()
+    sd = log_uniform(settings.measurement_noise, one_each, generator)
     sd = sd * (torch.rand(one_each, generator=generator) < 0.3)
     noise = torch.randn((2, *scenes.x.shape), generator=generator)
     return Reactions(scenes.x + sd * noise[0], scenes.v + sd * noise[1], scenes.leader)

@@ -32,7 +32,9 @@ def test_the_evidence_is_the_gaussian_integral():
     rng = np.random.default_rng(0)
     y, design = rng.normal(size=8), rng.normal(size=(8, 3))
     mean, sd = (0.2, -0.1, 0.4), (0.5, 0.3, 0.2)
-    found = _gaussian(torch.tensor(y), torch.tensor(design), mean, sd, Grid(noise=(0.3,), correlation=(0.0,)))
+    found = _gaussian(
+        torch.tensor(y), torch.tensor(design), tuple(zip(mean, sd, strict=True)), Grid(noise=(0.3,), correlation=(0.0,))
+    )
     covariance = 0.09 * np.eye(8) + design @ np.diag(np.square(sd)) @ design.T
     assert found.item() == pytest.approx(multivariate_normal(design @ mean, covariance).logpdf(y), abs=1e-9)
 
@@ -45,12 +47,11 @@ def test_correlated_noise_is_whitened():
     plain = _gaussian(
         torch.tensor(back @ y),
         torch.tensor(back @ design),
-        (0.0, 0.0),
-        (1.0, 1.0),
+        ((0.0, 1.0), (0.0, 1.0)),
         Grid(noise=(0.1,), correlation=(0.0,)),
     )
     white = _gaussian(
-        torch.tensor(y), torch.tensor(design), (0.0, 0.0), (1.0, 1.0), Grid(noise=(0.1,), correlation=(0.5,))
+        torch.tensor(y), torch.tensor(design), ((0.0, 1.0), (0.0, 1.0)), Grid(noise=(0.1,), correlation=(0.5,))
     )
     assert white.item() == pytest.approx(plain.item(), abs=1e-9)
 
