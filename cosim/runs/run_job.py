@@ -66,7 +66,7 @@ def run_job(
             outcome = run(scenario, files, driver, tell)
         except SumoError as error:
             raise InputError(f"SUMO refused the scenario: {error}") from error
-        routes = sha256(files.routes)
+        routes = None if scenario.traffic.has_own_files else sha256(files.routes)
     if not outcome.episodes:
         raise InputError(
             f"group: no group fits the rule within {scenario.time_limit:g} s; loosen its gaps or raise time_limit"
@@ -85,7 +85,7 @@ def run_job(
         "driver": tag_of(scenario.policy),
         "seed": scenario.seed,
         "episodes": scenario.episodes,
-        "sumo_arguments": arguments(scenario, inputs["net"].name, "routes.rou.xml", "routes.signs.xml", "sumo.log"),
+        "sumo_arguments": _sumo_arguments(scenario, inputs),
         "simulated_seconds": outcome.simulated,
         "infeasible_starts": dict(Counter(reason.value for _, reason in outcome.excluded)),
         "trunk_collision_steps": outcome.collisions,
@@ -97,6 +97,17 @@ def run_job(
         tell("picture", 0, 1)
         picture(tables, folder / "episode.png")
         tell("picture", 1, 1)
+
+
+def _sumo_arguments(scenario: Scenario, inputs: Mapping[str, Path]) -> list[str]:
+    """SUMO's arguments with the names of the files, without their folders."""
+    routes, additional = "routes.rou.xml", "routes.signs.xml"
+    if scenario.traffic.has_own_files:
+        routes, additional = (
+            ",".join(path.name for what, path in inputs.items() if what.startswith(f"{kind}."))
+            for kind in ("routes", "additional")
+        )
+    return arguments(scenario, inputs["net"].name, routes, additional, "sumo.log")
 
 
 def _inputs(scenario: Scenario, policy: Policy | None) -> dict[str, Path]:

@@ -18,7 +18,7 @@ from cosim.scenes.scene_rules import DT, TRIPLE_SHARES, Kind, Rules
 from cosim.scenes.trajectory_buffer import BufferedStep, RoadSection, TrajectoryBuffer, VehicleNumbers
 from cosim.spec.scenario import Scenario
 from cosim.sumo import Sumo, sumo
-from cosim.traffic.route_file import arguments, route_file, sign_file
+from cosim.traffic.simulation_input import SumoFiles, prepare_simulation
 from gri.data.scene_file.schema import SceneBlock
 
 SPLITS = ("train", "test", "validation", "train", "train", "train", "train", "test", "train", "train")
@@ -91,11 +91,10 @@ def undisturbed_traffic(scenario: Scenario, net: Path, folder: Path, end: float)
 
     `folder` takes what SUMO reads and writes. This imports no torch, so that copies of the process are cheap.
     """
-    traffic = perturbed_traffic(scenario).traffic
-    routes, signs, log = (folder / name for name in ("routes.rou.xml", "routes.signs.xml", "sumo.log"))
-    routes.write_text(route_file(traffic, scenario.seed, end))
-    signs.write_text(sign_file(traffic))
-    with sumo(arguments(scenario, *map(str, (net, routes, signs, log))), log) as world:
+    files = SumoFiles(net, folder / "routes.rou.xml", folder / "sumo.log")
+    inputs = prepare_simulation(scenario, files, end - scenario.traffic.warm_up)
+    inputs.write()
+    with sumo(inputs.arguments, files.log) as world:
         yield world
 
 

@@ -35,15 +35,24 @@ MAX_PENDING_STEPS = 8  # that the simulation may be ahead of the copies in which
 
 
 class VehicleNumbers(dict[str, int]):
-    """Numbers of vehicle ids: "flow.k" of the f-th flow is number f million + k; "" is `NO_VEHICLE`."""
+    """Numbers of vehicle ids: "flow.k" of the f-th flow is number f million + k; "" is `NO_VEHICLE`.
+
+    Vehicles of no such flow are numbered after the last flow, in the order in which they are first seen.
+    """
 
     def __init__(self, flows: Sequence[str]) -> None:
         super().__init__({"": NO_VEHICLE})
         self._first_number = {name: NUMBERS_PER_FLOW * k for k, name in enumerate(flows)}
+        self._others = 0
 
     def __missing__(self, vehicle: str) -> int:
         flow, _, k = vehicle.rpartition(".")
-        self[vehicle] = number = self._first_number[flow] + int(k)
+        if flow in self._first_number and k.isdigit():
+            number = self._first_number[flow] + int(k)
+        else:
+            number = NUMBERS_PER_FLOW * len(self._first_number) + self._others
+            self._others += 1
+        self[vehicle] = number
         return number
 
 

@@ -102,16 +102,43 @@ class Targets(Spec, frozen=True, kw_only=True):
 
 
 class Traffic(Spec, frozen=True, kw_only=True):
-    """Demand, drivers and bottleneck. `warm_up` [s] comes first; a demand interval lasts `interval` [s]."""
+    """The traffic: either demand, drivers and bottleneck as described here, or SUMO files of your own.
 
-    warm_up: NonNegative
+    `warm_up` [s] comes first; a demand interval lasts `interval` [s]. Your own files are a configuration (`sumocfg`),
+    or `routes` and `additional` files; where both are given, the lists replace those of the configuration. `options`
+    are further options of SUMO, by their long names. Paths are relative to the file that names them. The options that
+    the coupling needs stay as they are (docs/own-scenarios.md).
+    """
+
+    warm_up: NonNegative = 300.0
     interval: Positive = 300.0
-    vehicles: Annotated[tuple[VehicleClass, ...], Meta(min_length=1)]
-    flows: Annotated[tuple[Flow, ...], Meta(min_length=1)]
+    vehicles: tuple[VehicleClass, ...] = ()
+    flows: tuple[Flow, ...] = ()
     bottleneck: Bottleneck | None = None
     targets: Targets | None = None
+    sumocfg: str = ""
+    routes: tuple[str, ...] = ()
+    additional: tuple[str, ...] = ()
+    options: dict[str, str | int | float | bool] = field(default_factory=dict)
+
+    @property
+    def has_own_files(self) -> bool:
+        """Whether vehicles and drivers come from SUMO files of the user."""
+        return bool(self.sumocfg or self.routes)
 
     def __post_init__(self) -> None:
+        if self.has_own_files:
+            if described := [name for name in ("vehicles", "flows", "bottleneck") if getattr(self, name)]:
+                raise ValueError(
+                    f"it has SUMO files of its own and {described[0]}, expected one of both; remove {described[0]}"
+                )
+            return
+        if own := [name for name in ("additional", "options") if getattr(self, name)]:
+            raise ValueError(f"it has {own[0]} but no sumocfg and no routes, expected one of these two beside {own[0]}")
+        if missing := [name for name in ("vehicles", "flows") if not getattr(self, name)]:
+            raise ValueError(
+                f"it has no {missing[0]}, expected vehicles and flows, or SUMO files of your own (sumocfg, or routes)"
+            )
         known = {vehicle.name for vehicle in self.vehicles}
         for flow in self.flows:
             if unknown := set(flow.classes) - known:

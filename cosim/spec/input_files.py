@@ -6,6 +6,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from cosim.spec.scenario import Replay, Scenario, TrainedPolicy, UserPolicy
+from cosim.spec.sumo_configuration import configuration
 from gri.errors import InputError
 from gri.resources import find_checkpoint, shipped
 
@@ -28,6 +29,11 @@ def find_net(name: str) -> Path:
 def input_files(scenario: Scenario) -> dict[str, Path]:
     """Every input file of a run besides the scenario: net, checkpoint, source file of the policy, recording."""
     files = {"net": find_net(scenario.net)}
+    if scenario.traffic.has_own_files:
+        own = configuration(scenario.traffic).files
+        files |= {what: path for what, path in own.items() if what != "net"}
+        if scenario.traffic.sumocfg:
+            files["sumocfg"] = Path(scenario.traffic.sumocfg)
     if isinstance(scenario.policy, TrainedPolicy):
         files["checkpoint"] = checkpoint_path(scenario.policy.checkpoint)
     if isinstance(scenario.policy, UserPolicy):

@@ -9,6 +9,7 @@ import msgspec
 
 from cosim.spec.demand import Traffic
 from cosim.spec.scenario import Replay, Scenario
+from cosim.spec.sumo_configuration import read_configuration
 from gri.config import parsed, read_yaml, typed
 from gri.errors import InputError
 from gri.resources import shipped
@@ -23,12 +24,37 @@ def load_scenario(name: str, beside: Path | None = None) -> Scenario:
     content = parsed(path)
     if isinstance(content, dict) and isinstance(content.get("traffic"), str):
         content["traffic"] = traffic_content(content["traffic"], beside=path)
-    return typed(content, Scenario, path)
+    elif isinstance(content, dict) and isinstance(content.get("traffic"), dict):
+        content["traffic"] = beside_file(content["traffic"], path)
+    return typed(_with_net_of_configuration(content), Scenario, path)
 
 
 def traffic_content(name: str, beside: Path) -> dict[str, Any]:
     """The content of the traffic file of that name (shipped in `scenarios/traffic/`) or path, checked."""
-    return msgspec.to_builtins(read_yaml(find_file(name, "scenarios/traffic", "traffic", beside), Traffic))
+    path = find_file(name, "scenarios/traffic", "traffic", beside)
+    return beside_file(msgspec.to_builtins(read_yaml(path, Traffic)), path)
+
+
+def beside_file(traffic: dict[str, Any], path: Path) -> dict[str, Any]:
+    """The traffic with its own SUMO files looked for beside the YAML file `path`, where they are there."""
+
+    def found(name: Any) -> Any:
+        return str(path.parent / name) if isinstance(name, str) and (path.parent / name).is_file() else name
+
+    changed = {name: found(traffic[name]) for name in ("sumocfg",) if traffic.get(name)}
+    for name in ("routes", "additional"):
+        if isinstance(traffic.get(name), list | tuple):
+            changed[name] = [found(part) for part in traffic[name]]
+    return {**traffic, **changed}
+
+
+def _with_net_of_configuration(content: Any) -> Any:
+    """The scenario's content with the net of its SUMO configuration, where it names no net itself."""
+    traffic = content.get("traffic") if isinstance(content, dict) else None
+    if not isinstance(traffic, dict) or "net" in content or not isinstance(traffic.get("sumocfg"), str):
+        return content
+    net = read_configuration(Path(traffic["sumocfg"])).get("net-file") if traffic["sumocfg"] else None
+    return {**content, "net": net} if net else content
 
 
 def shipped_names(folder: str) -> list[str]:

@@ -193,4 +193,6 @@ Perturbation = (
     | AggressiveDrivers
     | LowFriction
 )
+CHANGES_DEMAND = (DenserDemand, MoreTrucks, AggressiveDrivers, LowFriction)
+"""Perturbations of vehicles and drivers of the demand, which must be described in the scenario."""
 KINDS: dict[str, type[PerturbationSpec]] = {str(kind.__struct_config__.tag): kind for kind in Perturbation.__args__}

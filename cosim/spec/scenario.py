@@ -11,7 +11,7 @@ import msgspec
 from msgspec import Meta, field
 
 from cosim.spec.demand import Count, NonNegative, Positive, Spec, Traffic
-from cosim.spec.perturbations import Perturbation
+from cosim.spec.perturbations import CHANGES_DEMAND, Perturbation
 
 Seed = Annotated[int, Meta(ge=0, lt=2**31)]
 
@@ -152,8 +152,8 @@ GraphSource = Inferred | GroundTruth | Enforced
 Driver = TrainedPolicy | Idm | ConstantVelocity | LeftToSumo | UserPolicy
 
 
-def tag_of(choice: GroupRule | Driver) -> str:
-    """The name of a group rule or a policy in YAML, tables and file names."""
+def tag_of(choice: GroupRule | Driver | Perturbation) -> str:
+    """The name of a group rule, a policy or a perturbation in YAML, tables and file names."""
     return str(choice.__struct_config__.tag)
 
 
@@ -191,10 +191,24 @@ class Scenario(Spec, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         if len(set(self.driven)) < len(self.driven):
             raise ValueError(f"driven is {list(self.driven)}, expected each role once")
+        if self.traffic.has_own_files:
+            self._check_own_files()
         for name in ("history", "horizon", "watch", "rest", "reinfer_s"):
             steps = getattr(self, name) / self.step
             if abs(steps - round(steps)) > 1e-6:
                 raise ValueError(f"{name} is {getattr(self, name):g} s, expected a multiple of step = {self.step:g} s")
+
+    def _check_own_files(self) -> None:
+        """Whatever changes the demand needs traffic that is described in the scenario."""
+        if isinstance(self.background, Replay):
+            raise ValueError(
+                "background replays a recording and traffic has SUMO files of its own, expected one of both"
+            )
+        if kinds := [tag_of(change) for change in self.perturbations if isinstance(change, CHANGES_DEMAND)]:
+            raise ValueError(
+                f"perturbations has {kinds[0]}, which changes the demand, and traffic has SUMO files of its own;"
+                " expected traffic with vehicles and flows, or other perturbations"
+            )
 
     def steps(self, duration: float) -> int:
         """A duration [s] in simulation steps."""

@@ -8,6 +8,7 @@ import numpy as np
 
 from cosim.spec.demand import Flow, Traffic, VehicleClass
 from cosim.spec.scenario import Scenario
+from cosim.spec.sumo_configuration import configuration
 
 KRAUSS_IMPERFECTION = 0.5  # where none is given
 
@@ -120,25 +121,33 @@ def _departures(
 
 
 def arguments(scenario: Scenario, net: str, routes: str, signs: str, log: str) -> list[str]:
-    """SUMO's command line for a scenario (without the program's name).
+    """SUMO's command line for a scenario (without the program's name); `routes` and `signs` may be comma-separated.
 
-    SUMO only reports collisions and never teleports a vehicle. Overtaking on the right is allowed as on US freeways.
+    SUMO only reports collisions. In traffic of the scenario's own description, SUMO never teleports a vehicle, and
+    overtaking on the right is allowed as on US freeways. With SUMO files of the user, all other options are theirs.
     """
+    own = scenario.traffic.has_own_files
+    described = {"default.speeddev": 0, "time-to-teleport": -1, "lanechange.overtake-right": "true"}
     options = {
+        **(configuration(scenario.traffic).options if own else described),
         "net-file": net,
         "route-files": routes,
         "additional-files": signs,
+        **coupling_options(scenario),
+        "error-log": log,
+    }
+    return [token for name, value in options.items() if value != "" for token in (f"--{name}", str(value))]
+
+
+def coupling_options(scenario: Scenario) -> dict[str, str | int]:
+    """The options of SUMO that the coupling needs, whatever the traffic."""
+    return {
         "seed": scenario.seed,
         "step-length": f"{scenario.step:g}",
-        "default.speeddev": 0,
         "collision.action": "warn",
         "collision.mingap-factor": 0,
         "collision.check-junctions": "true",
-        "time-to-teleport": -1,
-        "lanechange.overtake-right": "true",
         "no-step-log": "true",
         "duration-log.disable": "true",
         "xml-validation": "never",
-        "error-log": log,
     }
-    return [token for name, value in options.items() for token in (f"--{name}", str(value))]

@@ -1,6 +1,7 @@
 """Everything that SUMO is started with: one value, made once, before anything runs."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -8,6 +9,8 @@ from msgspec.structs import replace
 
 from cosim.perturb.traffic_demand import perturbed_traffic
 from cosim.spec.scenario import Replay, Scenario
+from cosim.spec.sumo_configuration import configuration
+from cosim.traffic.additional_file import without_outputs
 from cosim.traffic.replay import RecordedTrack, read_tracks, without_demand
 from cosim.traffic.route_file import arguments, route_file, sign_file
 
@@ -31,23 +34,22 @@ class SimulationInput:
     """What SUMO is started with.
 
     `scenario` is the scenario as it is simulated: where a recording is replayed, its traffic has no demand and no
-    warm-up. `route_text` and `sign_text` are the contents of the files, `arguments` is SUMO's command line, `tracks`
-    are the recorded vehicles to replay. Traffic perturbations of the scenario are part of the route file only.
+    warm-up. `texts` are the contents of the files to write, `arguments` is SUMO's command line, `tracks` are the
+    recorded vehicles to replay. Traffic perturbations of the scenario are part of the route file only.
     """
 
     scenario: Scenario
     files: SumoFiles
-    route_text: str
-    sign_text: str
+    texts: Mapping[Path, str]
     arguments: tuple[str, ...]
     tracks: tuple[RecordedTrack, ...]
     end: float
     """Time [s] until which there is traffic: the end of the demand, or of the recording where that ends earlier."""
 
     def write(self) -> None:
-        """Write the route file and the file of variable speed signs."""
-        self.files.routes.write_text(self.route_text)
-        self.files.signs.write_text(self.sign_text)
+        """Write the files that SUMO reads besides the net and the user's own files."""
+        for path, text in self.texts.items():
+            path.write_text(text)
 
 
 def prepare_simulation(scenario: Scenario, files: SumoFiles, duration: float) -> SimulationInput:
@@ -61,14 +63,43 @@ def prepare_simulation(scenario: Scenario, files: SumoFiles, duration: float) ->
         tracks = read_tracks(scenario.background, scenario.step)
         end_of_recording = max((track.last_step for track in tracks), default=0) * scenario.step
         scenario = replace(scenario, traffic=without_demand(scenario.traffic))
+    if scenario.traffic.has_own_files:
+        return _with_own_files(scenario, files, duration)
     end_of_demand = scenario.traffic.warm_up + duration
     paths = (str(path) for path in (files.net, files.routes, files.signs, files.log))
+    routes = route_file(perturbed_traffic(scenario).traffic, scenario.seed, end_of_demand)
     return SimulationInput(
         scenario=scenario,
         files=files,
-        route_text=route_file(perturbed_traffic(scenario).traffic, scenario.seed, end_of_demand),
-        sign_text=sign_file(scenario.traffic),
+        texts={files.routes: routes, files.signs: sign_file(scenario.traffic)},
         arguments=tuple(arguments(scenario, *paths)),
         tracks=tracks,
         end=min(end_of_demand, end_of_recording),
+    )
+
+
+def _with_own_files(scenario: Scenario, files: SumoFiles, duration: float) -> SimulationInput:
+    """The input with SUMO files of the user; additional files that would write output are replaced by copies."""
+    given = configuration(scenario.traffic)
+    copies = {path: without_outputs(path) for path in given.additional}
+    written = {
+        files.routes.with_name(f"additional.{k}.add.xml"): text for k, text in enumerate(copies.values()) if text
+    }
+    unwritten = [path for path, text in copies.items() if not text]
+    end = given.begin + scenario.traffic.warm_up + duration
+    return SimulationInput(
+        scenario=scenario,
+        files=files,
+        texts=written,
+        arguments=tuple(
+            arguments(
+                scenario,
+                str(files.net),
+                ",".join(map(str, given.routes)),
+                ",".join(map(str, [*unwritten, *written])),
+                str(files.log),
+            )
+        ),
+        tracks=(),
+        end=end if given.end is None else min(end, given.end),
     )

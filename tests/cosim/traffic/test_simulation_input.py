@@ -20,12 +20,12 @@ def test_nothing_is_written_before_write(files):
     inputs = prepare_simulation(scenario, files, 60.0)
     assert not files.routes.exists()
     assert inputs.end == scenario.traffic.warm_up + 60.0
-    assert inputs.route_text == route_file(scenario.traffic, scenario.seed, inputs.end)
+    assert inputs.texts[files.routes] == route_file(scenario.traffic, scenario.seed, inputs.end)
     names = (str(path) for path in (files.net, files.routes, files.signs, files.log))
     assert inputs.arguments == tuple(arguments(scenario, *names))
     inputs.write()
-    assert files.routes.read_text() == inputs.route_text
-    assert files.signs.read_text() == inputs.sign_text == sign_file(scenario.traffic)
+    assert files.routes.read_text() == inputs.texts[files.routes]
+    assert files.signs.read_text() == inputs.texts[files.signs] == sign_file(scenario.traffic)
 
 
 def test_perturbed_traffic_is_in_the_route_file_only(files):
@@ -34,7 +34,7 @@ def test_perturbed_traffic_is_in_the_route_file_only(files):
     )
     inputs = prepare_simulation(scenario, files, 60.0)
     assert inputs.scenario == scenario
-    assert inputs.route_text == route_file(perturbed_traffic(scenario).traffic, scenario.seed, inputs.end)
+    assert inputs.texts[files.routes] == route_file(perturbed_traffic(scenario).traffic, scenario.seed, inputs.end)
 
 
 def test_a_replay_without_a_recording_is_refused(files):
@@ -46,4 +46,4 @@ def test_the_same_scenario_gives_the_same_input(files):
     scenario = load_scenario("us101_car_following")
     assert prepare_simulation(scenario, files, 60.0) == prepare_simulation(scenario, files, 60.0)
     other = prepare_simulation(msgspec.structs.replace(scenario, seed=2), files, 60.0)
-    assert other.route_text != prepare_simulation(scenario, files, 60.0).route_text
+    assert other.texts != prepare_simulation(scenario, files, 60.0).texts
