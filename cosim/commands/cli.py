@@ -12,6 +12,7 @@ import typer
 
 from cosim.commands.arguments import ScenarioArgument, SeedOption
 from cosim.commands.batch import batch, results
+from cosim.commands.new import new
 from cosim.commands.scenes import scenes
 from cosim.commands.show import explain, gui, render, report
 from cosim.commands.stress import stress
@@ -75,7 +76,7 @@ def run(
     next_command(f"cosim report {done.folder}" if baseline else f"cosim run {scenario} --baseline idm")
 
 
-for _command in (report, explain, render, gui, traffic, calibrate, realism, scenes, stress, batch, results):
+for _command in (new, report, explain, render, gui, traffic, calibrate, realism, scenes, stress, batch, results):
     app.command()(_command)
 
 

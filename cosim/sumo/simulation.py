@@ -140,11 +140,21 @@ class Sumo:
         """Put a shadow of the vehicle on a lane, to which others react; no snapshot, report or count shows it."""
         shadow, api = SHADOW + vehicle, libsumo.vehicle
         if vehicle not in self._shadowed:
-            api.add(shadow, api.getRouteID(vehicle), api.getTypeID(vehicle))
+            api.add(shadow, self._shadow_route(vehicle), api.getTypeID(vehicle))
             api.setSpeedMode(shadow, _NO_CHECKS)
             api.setLaneChangeMode(shadow, _NO_CHANGES)
             self._shadowed.add(vehicle)
         self.command(shadow, x, y, heading, speed, lane)
+
+    def _shadow_route(self, vehicle: str) -> str:
+        """The id of a route for the vehicle's shadow; SUMO forgets the ids of routes that belong to one vehicle."""
+        route = libsumo.vehicle.getRouteID(vehicle)
+        if route in libsumo.route.getIDList():
+            return route
+        own = f"{SHADOW}{route}"
+        if own not in libsumo.route.getIDList():
+            libsumo.route.add(own, libsumo.vehicle.getRoute(vehicle))
+        return own
 
     def remove_shadow(self, vehicle: str) -> None:
         """Remove the vehicle's shadow, if it has one."""

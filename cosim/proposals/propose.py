@@ -1,0 +1,91 @@
+"""Propose a scenario for a SUMO configuration: look at its net and its traffic, then write the file."""
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from cosim.loop.closed_loop import run
+from cosim.proposals.main_road import MainRoad, main_road
+from cosim.proposals.net_file import NetLanes, read_net_lanes
+from cosim.proposals.scenario_file import merging_lane, scenario_text
+from cosim.spec.demand import Traffic
+from cosim.spec.input_files import find_net
+from cosim.spec.scenario import CarFollowing, LeftToSumo, Road, Scenario
+from cosim.spec.sumo_configuration import Configuration, configuration
+from cosim.sumo import SumoError, sumo
+from cosim.sumo.net_use import NetUse, observe_net_use
+from cosim.traffic.simulation_input import SumoFiles, prepare_simulation
+from gri.errors import InputError
+
+Tell = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A proposed scenario: its text, and what it was made from."""
+
+    text: str
+    net: NetLanes
+    road: MainRoad
+    use: NetUse
+    given: Configuration
+    rule: str
+
+
+def observe(path: Path, seconds: float, step: float, tell: Tell) -> NetUse:
+    """Run the configuration alone for `seconds` and count its traffic. Runs in a worker process."""
+    given = configuration(Traffic(sumocfg=str(path)))
+    if given.net is None:
+        raise InputError(f"{path}: it names no net-file; add one")
+    edge = next(iter(read_net_lanes(given.net).of_edge))
+    scenario = Scenario(
+        net=str(given.net),
+        road=Road(edges=(edge,), origin=edge, length=1.0),
+        traffic=Traffic(sumocfg=str(path), warm_up=0.0),
+        group=CarFollowing(),
+        policy=LeftToSumo(),
+        step=step,
+    )
+    steps = round(seconds / step)
+    with tempfile.TemporaryDirectory() as scratch:
+        files = SumoFiles(find_net(scenario.net), Path(scratch, "routes.rou.xml"), Path(scratch, "sumo.log"))
+        inputs = prepare_simulation(scenario, files, seconds)
+        inputs.write()
+        tell("traffic", 0, steps)
+        try:
+            with sumo(inputs.arguments, files.log) as world:
+                return observe_net_use(world, steps, step, tell)
+        except SumoError as error:
+            raise InputError(f"{path}: SUMO refused it: {error}") from error
+
+
+def proposal(path: Path, beside: Path, use: NetUse, rule: str | None) -> Proposal:
+    """A scenario file that lies in the folder `beside`. `rule` is car_following, merge, or None to choose.
+
+    Raises `InputError` if there is no road, or no lane on which vehicles could merge although `rule` says merge.
+    """
+    given = configuration(Traffic(sumocfg=str(path)))
+    assert given.net is not None, "the traffic was observed on a net"
+    net = read_net_lanes(given.net)
+    road = main_road(net, use.routes)
+    lane = None if rule == "car_following" or net.left_hand else merging_lane(road)
+    if rule == "merge" and lane is None:
+        raise InputError(
+            f"{path}: no lane that is fed by a ramp ends on the right of the main road {' '.join(road.edges)};"
+            " wanted one for --rule merge. Use --rule car_following"
+        )
+    name = Path(path).resolve()
+    folder = beside.resolve()
+    text = scenario_text(str(name.relative_to(folder) if name.is_relative_to(folder) else name), road, use, lane)
+    return Proposal(text, net, road, use, given, "car_following" if lane is None else "merge")
+
+
+def count_groups(scenario: Scenario, tell: Tell) -> int:
+    """How many groups the traffic has for a scenario, of its number of episodes. Runs in a worker process."""
+    with tempfile.TemporaryDirectory() as scratch:
+        files = SumoFiles(find_net(scenario.net), Path(scratch, "routes.rou.xml"), Path(scratch, "sumo.log"))
+        try:
+            return len(run(scenario, files, None, tell).episodes)
+        except SumoError as error:
+            raise InputError(f"SUMO refused the scenario: {error}") from error
