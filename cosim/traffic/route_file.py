@@ -123,6 +123,8 @@ def arguments(scenario: Scenario, net: str, routes: str, signs: str, log: str) -
     """SUMO's command line for a scenario (without the program's name).
 
     SUMO only reports collisions and never teleports a vehicle. Overtaking on the right is allowed as on US freeways.
+    The whole route file is read at the start. Otherwise SUMO keeps it open and reads on every 200 s; a branch shares
+    the open file with the trunk, and what the one has read is missing for the other.
     """
     options = {
         "net-file": net,
@@ -135,6 +137,7 @@ def arguments(scenario: Scenario, net: str, routes: str, signs: str, log: str) -
         "collision.mingap-factor": 0,
         "collision.check-junctions": "true",
         "time-to-teleport": -1,
+        "route-steps": 0,
         "lanechange.overtake-right": "true",
         "no-step-log": "true",
         "duration-log.disable": "true",
