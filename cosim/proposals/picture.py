@@ -24,7 +24,9 @@ def draw_road(net: NetLanes, road: MainRoad, lane: EndingLane | None, path: Path
         axes.plot(x, y, ls="--" if ends else "-", **style)
     for edge in road.edges:
         shape = net.lanes[net.of_edge[edge][-1]].shape
-        axes.annotate(edge, shape[len(shape) // 2], xytext=(0, 8), textcoords="offset points", fontsize=7, color=BLUE)
+        k = (len(shape) - 1) // 2
+        middle = tuple((a + b) / 2 for a, b in zip(shape[k], shape[-1 - k], strict=True))
+        axes.annotate(edge, middle, xytext=(0, 8), textcoords="offset points", fontsize=7, color=BLUE, ha="center")
     start = net.lanes[net.of_edge[road.edges[0]][-1]].shape[0]
     axes.plot(*start, "o", color=BLUE)
     axes.annotate("s = 0", start, xytext=(0, -14), textcoords="offset points", fontsize=8)

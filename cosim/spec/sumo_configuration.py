@@ -24,6 +24,7 @@ _SHORT_NAMES = {"n": "net-file", "r": "route-files", "a": "additional-files", "b
 _IGNORED = frozenset(
     {
         "end",
+        "route-steps",
         "seed",
         "srand",
         "random",

@@ -125,6 +125,8 @@ def arguments(scenario: Scenario, net: str, routes: str, signs: str, log: str) -
 
     SUMO only reports collisions. In traffic of the scenario's own description, SUMO never teleports a vehicle, and
     overtaking on the right is allowed as on US freeways. With SUMO files of the user, all other options are theirs.
+    Whole route files are read at the start. Otherwise SUMO keeps them open and reads on every 200 s; a branch shares
+    the open files with the trunk, and what the one has read is missing for the other.
     """
     own = scenario.traffic.has_own_files
     described = {"default.speeddev": 0, "time-to-teleport": -1, "lanechange.overtake-right": "true"}
@@ -147,6 +149,7 @@ def coupling_options(scenario: Scenario) -> dict[str, str | int]:
         "collision.action": "warn",
         "collision.mingap-factor": 0,
         "collision.check-junctions": "true",
+        "route-steps": 0,
         "no-step-log": "true",
         "duration-log.disable": "true",
         "xml-validation": "never",
