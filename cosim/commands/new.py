@@ -61,6 +61,6 @@ def new(
         say(f"Your {option} = {value} is replaced by the coupling's (docs/own-scenarios.md).")
     if made.use.waiting:
         say(f"{made.use.waiting} vehicles wait for room to enter the net after {seconds:g} s.")
-    say(f"{made.rule.replace('_', ' ')}: {groups} of 10 groups found within 180 s after the warm-up.")
+    say(f"{made.rule.replace('_', ' ')}: {groups} groups found within 180 s after the warm-up (10 are enough).")
     say(f"Scenario: {path}\nPicture: {picture}")
     next_command(f"cosim run {path}")

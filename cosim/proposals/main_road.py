@@ -33,7 +33,7 @@ class EndingLane:
     entries: tuple[str, ...]
 
     @property
-    def zone(self) -> tuple[float, float]:
+    def zone(self) -> tuple[int, int]:
         """The range of s [m] in which a group can be taken over and still has room to merge."""
         length = self.end - self.begin
         return round(self.begin + 0.1 * length), round(max(self.begin + 0.3 * length, self.begin + 0.6 * length - 20))
