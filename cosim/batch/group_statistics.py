@@ -41,6 +41,7 @@ class Measure:
     share: bool = False
     median: bool = False
     better: int = 1  # 1: more is better, -1: less is
+    every_start: bool = False  # over all feasible starts; otherwise over the groups that did not break up
 
     def values(self, groups: pd.DataFrame) -> np.ndarray:
         values = self.column(groups).to_numpy()
@@ -62,9 +63,23 @@ class Measure:
         return paired_difference(values[0][finite], values[1][finite])
 
 
+OUTCOME = (
+    Measure(
+        "completed_without_contact",
+        "completed without contact",
+        "share",
+        lambda g: g["completed_without_contact"],
+        share=True,
+        every_start=True,
+    ),
+    Measure("contact", "contact", "share", lambda g: g["contact"], share=True, better=-1, every_start=True),
+    Measure("completed", "completed", "share", lambda g: g["completed"], share=True, every_start=True),
+    Measure("order_kept", "order kept", "share", lambda g: g["order_kept"], share=True, every_start=True),
+)
+"""The outcome of a drive, over all feasible starts (docs/stress.md)."""
+
 MEASURES = (
-    Measure("success", "success", "share", lambda g: g["success"], share=True),
-    Measure("contact", "collision", "share", lambda g: g["contact"], share=True, better=-1),
+    *OUTCOME,
     Measure("short_ttc", f"TTC < {SHORT_TTC:g} s", "share", lambda g: g["min_ttc"] < SHORT_TTC, share=True, better=-1),
     Measure("min_gap", "minimum gap", "m", lambda g: g["min_gap"], median=True),
     Measure("mean_speed", "mean speed", "m/s", lambda g: g["mean_speed"]),
@@ -103,15 +118,20 @@ def headline(groups: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
         rows.append(
             dict(zip(by, key if isinstance(key, tuple) else (key,), strict=True))
             | {"runs": part["run"].nunique(), "groups": len(part), "interrupted": len(part) - len(complete)}
-            | {measure.name: measure.estimate(complete) for measure in MEASURES}
+            | {m.name: m.estimate(part if m.every_start else complete) for m in MEASURES}
         )
     return pd.DataFrame(rows)
 
 
-def paired_starts(groups: pd.DataFrame, a: str, b: str) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """The starts that both policies a and b drove to the end; the same row of both tables is the same start."""
+def paired_starts(
+    groups: pd.DataFrame, a: str, b: str, *, every_start: bool = False
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """The starts that both policies a and b drove to the end; the same row of both tables is the same start.
+
+    With `every_start` also those in which a group broke up.
+    """
     on = [*START, "perturbation", "intensity"]
-    complete = uninterrupted(groups)
+    complete = groups if every_start else uninterrupted(groups)
     first, second = (complete[complete["policy"] == policy].drop_duplicates(on) for policy in (a, b))
     if LEFT_TO_SUMO in (a, b):
         on = list(START)  # counterparts are never perturbed
@@ -121,5 +141,5 @@ def paired_starts(groups: pd.DataFrame, a: str, b: str) -> tuple[pd.DataFrame, p
 
 def differences(groups: pd.DataFrame, a: str, b: str) -> dict[str, PairedTest]:
     """Each measure's difference between the policies a − b on the same starts."""
-    first, second = paired_starts(groups, a, b)
-    return {measure.name: measure.difference(first, second) for measure in MEASURES}
+    pairs = {every: paired_starts(groups, a, b, every_start=every) for every in (False, True)}
+    return {measure.name: measure.difference(*pairs[measure.every_start]) for measure in MEASURES}

@@ -13,6 +13,7 @@ from cosim.batch import group_statistics
 from cosim.batch.group_statistics import BY_NAME, CELL, MEASURES, Measure
 from cosim.batch.store import BatchStore
 from cosim.measures.statistics import Estimate, PairedTest
+from cosim.world.outcome_columns import with_outcome_columns
 from gri.errors import InputError
 
 
@@ -38,7 +39,7 @@ def groups_of(store: BatchStore) -> pd.DataFrame:
         raise InputError(
             f"{store.folder}: no run has finished; see the reasons with `cosim results {store.folder} --failures`"
         )
-    groups = pd.read_parquet(store.folder / "groups")
+    groups = with_outcome_columns(pd.read_parquet(store.folder / "groups"))
     groups["run"] = pd.Categorical(groups["run"].astype(str), order, ordered=True)
     groups = groups.sort_values(["run", "episode", "driver"], ignore_index=True)
     return group_statistics.with_counterparts(groups.astype({"run": str}))

@@ -18,6 +18,7 @@ from cosim.process.fork import CAN_FORK, fork
 from cosim.spec.scenario import Scenario
 from cosim.traffic.running_simulation import simulation
 from cosim.traffic.simulation_input import SimulationInput, SumoFiles, prepare_simulation
+from cosim.world.break_ups import compared
 from cosim.world.episode import INTERRUPTED, Episode
 from cosim.world.groups import Group
 
@@ -92,6 +93,8 @@ def run(
                     left += trunk.leave_to_sumo(history, this_round)
                     driven += branch.result()
         progress("episodes", min(count, scenario.episodes), scenario.episodes)
+        left = [compared(episode, episode) for episode in left]
+        counted = [compared(*both) for both in zip(counted, left, strict=True)]
         return Outcome(tuple(counted), tuple(left), tuple(excluded), trunk.time, trunk.teleports, trunk.collisions)
 
 

@@ -5,7 +5,7 @@ docs/coupling.md for what a command does and when.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -20,7 +20,9 @@ from cosim.loop.state_layouts import layout_of
 from cosim.loop.take_over_and_hand_back import Control, PolicyControl, SumoControl
 from cosim.spec.scenario import GraphSource, Inferred
 from cosim.sumo import Sumo
-from cosim.world.episode import Episode
+from cosim.world.break_ups import lane_entries, with_cause
+from cosim.world.contacts import contacts_of
+from cosim.world.episode import Contact, Episode, Event, EventKind
 from cosim.world.groups import order_of
 from cosim.world.road_frame import RoadFrame
 from cosim.world.snapshot import Snapshot
@@ -104,7 +106,7 @@ def drive(world: Sumo, road: RoadFrame, start: RoundStart) -> list[Episode]:
     now, observations = start.now, [*start.observations]
     rows = observations[-1].rows
     length, width = now.length[rows], now.width[rows]
-    recorder = RoundRecorder(this_round, width)
+    recorder, trace = RoundRecorder(this_round, width), []
     control.take_over(world, recorder, now.time)
     intervention.begin(world, control.roles)
     step = 0
@@ -120,12 +122,38 @@ def drive(world: Sumo, road: RoadFrame, start: RoundStart) -> list[Episode]:
         control.hand_back(world, recorder, observation, ended=set(active) - set(recorder.active))
         control.observe(intervention.shown_to_policy(observation, now), recorder.active)
         observations.append(observation.with_last_known_states(before))
+        trace.append(now)
     for watched in range(step, step + this_round.watched_steps):
         intervention.command(world, road, watched, control.roles, now)
         world.step()
         now, observation = intervention.observe(world, road, observations[-1])
         observations.append(observation.with_last_known_states(observations[-1]))
-    return _episodes(recorder, control, observations, length, width)
+        trace.append(now)
+    episodes = _episodes(recorder, control, observations, length, width)
+    return _judged(episodes, intervention, start.now, trace)
+
+
+def _judged(
+    episodes: Sequence[Episode],
+    intervention: Intervention | NoIntervention,
+    takeover: Snapshot,
+    trace: Sequence[Snapshot],
+) -> list[Episode]:
+    """The episodes with their contacts, and with what broke them up; `trace` are the snapshots after the take-over."""
+    names = [intervention.names(g) for g in range(len(episodes))]
+    ends, found = [episode.end for episode in episodes], []
+    for g, contacts in enumerate(contacts_of(trace, names, ends)):
+        entries = lane_entries(takeover, trace, [*names[g]], ends[g])
+        events = [Event(c.time, EventKind.CONTACT, c.vehicles, _detail(c)) for c in contacts]
+        events = tuple(sorted([*events, *episodes[g].events], key=lambda event: event.time))
+        episode = replace(episodes[g], contacts=contacts, lane_entries=entries, events=events)
+        at_the_end = next(now for now in trace if now.time >= ends[g] - 1e-6)
+        found.append(with_cause(episode, intervention.members(g, at_the_end), takeover, trace))
+    return found
+
+
+def _detail(contact: Contact) -> str:
+    return f"{contact.who} at {contact.speed_difference:.2f} m/s" + ", after hand-back" * contact.after_hand_back
 
 
 def _episodes(
@@ -160,6 +188,7 @@ def _episodes(
             ending=recorder.endings[g],
             end=end,
             events=tuple(recorder.events[g]) + braking,
+            judged_roles=this_round.driven_roles,
         )
         episodes.append(episode)
     return episodes

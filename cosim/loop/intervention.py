@@ -21,7 +21,7 @@ from cosim.perturb.displaced_starts import Infeasible, VehicleStates
 from cosim.perturb.sensing_and_control import RoundSetting, SensingAndControl, sensing_and_control
 from cosim.spec.perturbations import Perturbation, RemoveThird
 from cosim.sumo import Sumo
-from cosim.world.episode import COLUMNS
+from cosim.world.episode import COLUMNS, CUTTER
 from cosim.world.groups import SAME_LANE, Group
 from cosim.world.road_frame import RoadFrame
 from cosim.world.snapshot import Snapshot, is_near, rows_of
@@ -74,6 +74,19 @@ class Intervention:
     def vehicles(self) -> list[str]:
         """The vehicles to observe: the groups and the background vehicles that follow a plan."""
         return [*self.round.vehicles, *(change.plan.vehicle for change in self.changes if change.plan is not None)]
+
+    def names(self, g: int) -> dict[str, str]:
+        """The names of a group's vehicles by their ids: their roles, and CUTTER for a successor of vehicle 2."""
+        found = dict(zip(self.round.groups[g].ids, "012", strict=True))
+        successor = self.changes[g].successor
+        return found if successor is None else found | {successor: CUTTER}
+
+    def members(self, g: int, now: Snapshot) -> tuple[str, ...]:
+        """The ids of a group by role: those of two vehicles if vehicle 2 was removed, with a successor that arrived."""
+        ids, change = self.round.groups[g].ids, self.changes[g]
+        if self.removes_third:
+            return ids[:2]
+        return (*ids[:2], change.successor) if change.successor and change.has_arrived(now) else ids
 
     def channels(self, layout: Layout, history: Sequence[GroupObservation]) -> SensingAndControl:
         """The perturbed sensors and actuators of this round."""
@@ -180,6 +193,15 @@ class NoIntervention:
 
     round: Round
     excluded: ClassVar[tuple[tuple[Group, Infeasible], ...]] = ()
+
+    def names(self, g: int) -> dict[str, str]:
+        """The names of a group's vehicles by their ids: their roles."""
+        return dict(zip(self.round.groups[g].ids, "012", strict=True))
+
+    def members(self, g: int, now: Snapshot) -> tuple[str, ...]:
+        """The ids of a group by role."""
+        del now
+        return self.round.groups[g].ids
 
     def channels(self, layout: Layout, history: Sequence[GroupObservation]) -> SensingAndControl:
         """Perfect sensors and actuators."""

@@ -158,7 +158,10 @@ class RoundRecorder:
         return ending if ending is not Ending.MERGED or settled else None
 
     def _contacts(self, snapshot: Snapshot, observation: GroupObservation, report: StepReport) -> set[int]:
-        """The groups in contact by our own test; SUMO's collisions and all disagreements are recorded as events."""
+        """The groups in contact by our own test; SUMO's collisions and all disagreements are recorded as events.
+
+        The contacts themselves are recorded for the drive and its aftermath at once, by `cosim.world.contacts`.
+        """
         active = self.active
         rows = observation.rows[active, :CONTACT_ROLES]
         rows = rows.ravel() if observation.complete else rows[observation.valid[active, :CONTACT_ROLES]]
@@ -170,11 +173,7 @@ class RoundRecorder:
         in_contact = set()
         for g in active:
             members = set(self.round.groups[g].ids[:CONTACT_ROLES])
-            for kind, pairs in (
-                (EventKind.CONTACT, ours),
-                (EventKind.SUMO_COLLISION, theirs),
-                (EventKind.DISAGREEMENT, ours ^ theirs),
-            ):
+            for kind, pairs in ((EventKind.SUMO_COLLISION, theirs), (EventKind.DISAGREEMENT, ours ^ theirs)):
                 own = sorted(_rear_first(snapshot, pair) for pair in pairs if pair & members)
                 self.events[g] += [Event(observation.time, kind, pair) for pair in own]
             teleported = [vehicle for vehicle in report.teleported if vehicle in members]

@@ -16,7 +16,8 @@ import numpy as np
 import pandas as pd
 
 from cosim.spec.input_files import sha256
-from cosim.world.episode import COLUMNS, Ending, Episode, EventKind
+from cosim.world.episode import COLUMNS, Episode, EventKind
+from cosim.world.outcome_columns import outcome_columns
 from gri.core.graph import EdgeType, pairs
 from gri.errors import InputError
 
@@ -69,8 +70,7 @@ def _group(number: int, episode: Episode, expected: Mapping[tuple[int, int], Edg
         "takeover_time": episode.group.time,
         "drive_duration": episode.end - episode.group.time,
         "ending": episode.ending.value,
-        "success": episode.success,
-        "contact": episode.ending is Ending.CONTACT,
+        **outcome_columns(episode),
         **_inferred_graph_columns(episode, expected),
         "min_gap": float(np.where(episode.in_path, episode.gap, np.inf)[way].min()),
         "min_ttc": float(episode.ttc[way].min()),

@@ -7,6 +7,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from cosim.world.episode import ARRIVED, INTERRUPTED, Ending
+from cosim.world.outcome_columns import headline, with_outcome_columns
 
 DRIVER_NAMES = {
     "gri": "GRI",
@@ -23,6 +24,7 @@ Row = tuple[str, Callable[[pd.DataFrame], str]]
 
 def summary(groups: pd.DataFrame) -> pd.DataFrame:
     """The figures of a run as text: a column per driver, in the order of the `groups` table."""
+    groups = with_outcome_columns(groups)
     drivers = list(dict.fromkeys(groups["driver"]))
     parts = [groups[groups["driver"] == driver] for driver in drivers]
     rows = [[value(part) for part in parts] for _, value in _ROWS]
@@ -50,18 +52,30 @@ def _of(count: int, total: int) -> str:
     return f"{count} of {total}" if total else "-"
 
 
-def _endings(groups: pd.DataFrame, *, interrupted: bool) -> str:
-    """Counts of each early ending that is no contact: those caused by other vehicles, or those caused by the driver."""
-    others = groups["ending"].isin(INTERRUPTED)
-    own = ~groups["ending"].isin([*INTERRUPTED, *ARRIVED, Ending.CONTACT])
-    kinds = groups.loc[others if interrupted else own, "ending"].value_counts()
+def _completed_without_contact(groups: pd.DataFrame) -> str:
+    """Their number; and the upper bound, which counts groups that broke up by no known fault of the policy."""
+    found = headline(groups)
+    up_to = f" (up to {found.most})" if found.most > found.count else ""
+    return f"{found.count}{up_to} of {found.groups}"
+
+
+def _contacts(groups: pd.DataFrame) -> str:
+    contact, after = (groups[name].astype(bool) for name in ("contact", "contact_after_hand_back"))
+    return f"{int((contact & ~after).sum())} / {int((contact & after).sum())}"
+
+
+def _broken_up(groups: pd.DataFrame) -> str:
+    counts = groups["broken_up_by"].value_counts()
+    return " / ".join(str(counts.get(cause, 0)) for cause in ("policy", "others", "unknown"))
+
+
+def _other_endings(groups: pd.DataFrame) -> str:
+    """Counts of the endings that are neither completed, nor a contact, nor a broken-up group."""
+    rest = ~groups["ending"].isin([*INTERRUPTED, *ARRIVED, Ending.CONTACT])
+    kinds = groups.loc[rest, "ending"].value_counts()
     return (
         ", ".join(f"{n} {kind.replace('_', ' ')}" for kind, n in zip(map(str, kinds.index), kinds, strict=True)) or "0"
     )
-
-
-def _complete(groups: pd.DataFrame) -> pd.DataFrame:
-    return groups[~groups["ending"].isin(INTERRUPTED)]
 
 
 def _edges(groups: pd.DataFrame) -> str:
@@ -97,21 +111,20 @@ def _hardest_braking(groups: pd.DataFrame) -> str:
 
 _ROWS: tuple[Row, ...] = (
     ("groups", lambda g: str(len(g))),
-    ("  driven to the end", lambda g: _of(int(g["ending"].isin(ARRIVED).sum()), len(g))),
-    ("  failed: too late, or off the road", lambda g: _endings(g, interrupted=False)),
-    ("  interrupted by others", lambda g: _endings(g, interrupted=True)),
+    ("completed without contact", _completed_without_contact),
+    ("  contact: in drive / after hand-back", _contacts),
+    ("  judged after hand-back for [s]", lambda g: f"{g['judged_after'].min():g}"),
+    ("  completed", lambda g: _of(int(g["completed"].sum()), len(g))),
+    ("  order kept", lambda g: _of(int(g["order_kept"].sum()), len(g))),
+    ("broken up by policy/others/unknown", _broken_up),
+    ("too late, lane end, or off the road", _other_endings),
     ("inferred edges", _edges),
     ("  whole graph as expected", _as_expected),
     ("  scene known to the model", _known),
-    ("success (of those not interrupted)", lambda g: _of(int(g["success"].sum()), len(_complete(g)))),
-    ("collisions", lambda g: str(int(g["contact"].sum()))),
     ("minimum gap [m]: worst / median", lambda g: f"{g['min_gap'].min():.1f} / {g['min_gap'].median():.1f}"),
     ("minimum TTC [s]: worst / median", lambda g: f"{g['min_ttc'].min():.1f} / {g['min_ttc'].median():.1f}"),
     ("mean speed [m/s]", lambda g: f"{g['mean_speed'].mean():.1f}"),
     ("steps with |jerk| <= 3 m/s³ [%]", lambda g: f"{100 * g['jerk_within_3'].mean():.1f}"),
-    (
-        "hardest braking [m/s²]: driven / after",
-        _hardest_braking,
-    ),
-    ("groups with hard braking after hand-back", lambda g: str(int((g["hard_braking_after"] > 0).sum()))),
+    ("hardest braking [m/s²]: drive / after", _hardest_braking),
+    ("hard braking after hand-back: groups", lambda g: str(int((g["hard_braking_after"] > 0).sum()))),
 )

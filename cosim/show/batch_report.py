@@ -21,7 +21,7 @@ from cosim.show.worst_episodes import worst_episodes
 from cosim.spec.perturbations import KINDS
 
 SHOWN_EPISODES = 6
-CURVES = ("success", "contact", "short_ttc", "min_gap")
+CURVES = ("completed_without_contact", "contact", "short_ttc", "min_gap")
 SPREADS = ("min_gap", "mean_speed", "min_acceleration")
 AXES = ("scenario", "variant", "policy", "perturbation", "intensity")
 

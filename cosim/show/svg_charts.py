@@ -33,7 +33,7 @@ def curves(groups: pd.DataFrame, perturbation: str, unit: str, measures: Sequenc
 
     `unit` is the unit of the intensity.
     """
-    part = uninterrupted(groups[groups["perturbation"] == perturbation])
+    part = groups[groups["perturbation"] == perturbation]
     styles = line_styles(list(dict.fromkeys(groups["policy"])))
     spread = float(np.ptp(part["intensity"])) if len(part) else 0.0
     with matplotlib.rc_context(STYLE):
@@ -57,6 +57,7 @@ def _draw_curve(
     axes: Axes, rows: pd.DataFrame, measure: Measure, colour: str, marker: str, label: str, shift: float
 ) -> None:
     """Draw one line; `shift` moves it along x, so that markers of equal policies do not hide each other."""
+    rows = rows if measure.every_start else uninterrupted(rows)
     points = [(intensity, measure.estimate(part)) for intensity, part in rows.groupby("intensity")]
     points = [(float(str(intensity)), estimate) for intensity, estimate in points if estimate.n]
     if not points:

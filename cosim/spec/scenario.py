@@ -182,7 +182,7 @@ class Scenario(Spec, frozen=True, kw_only=True):
     step: Positive = 0.2
     history: Positive = 5.0
     horizon: Positive = 8.0
-    watch: NonNegative = 3.0
+    watch: NonNegative = 10.0
     rest: NonNegative = 2.0
     episodes: Count = 30
     groups_at_once: Count = 6

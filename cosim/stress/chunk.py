@@ -130,7 +130,9 @@ def round_rows(
 def branch_rows(running: RunningSimulation, start: RoundStart, intervention: Intervention, before: Snapshot) -> Rows:
     """Drive a perturbed round and return its rows. This changes the simulation, so it runs in a branch."""
     episodes = drive(running.world, running.frame, start)
-    trace, driven, third_gone = intervention.snapshots, start.round.driven_roles, intervention.removes_third
+    driven, third_gone = start.round.driven_roles, intervention.removes_third
+    until = max(episode.end for episode in episodes)
+    trace = [now for now in intervention.snapshots if now.time <= until + 1e-6]
     return [
         _labels(episode.group) | {"infeasible": ""} | result_row(episode, change, before, trace, driven, third_gone)
         for episode, change in zip(episodes, intervention.changes, strict=True)

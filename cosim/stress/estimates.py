@@ -1,11 +1,12 @@
 """Estimates with intervals, and paired differences on the same starts, from the rows of a stress test."""
 
 from collections.abc import Callable
+from itertools import product
 
 import numpy as np
 import pandas as pd
 
-from cosim.batch.group_statistics import SHORT_TTC, Measure
+from cosim.batch.group_statistics import OUTCOME, SHORT_TTC, Measure
 
 CELL = ["perturbation", "intensity", "policy"]
 START = ["seed", "start"]
@@ -21,8 +22,7 @@ def _capped(column: str, cap: float = np.inf, sign: int = 1) -> Callable[[pd.Dat
 
 
 MEASURES = (
-    Measure("success", "success", "share", lambda g: g["success"], share=True),
-    Measure("contact", "collision", "share", lambda g: g["contact"], share=True, better=-1),
+    *OUTCOME,
     Measure("min_ttc", "minimum TTC", "s", _capped("min_ttc", TIME_CAP), median=True),
     Measure("short_ttc", f"TTC < {SHORT_TTC:g} s", "share", lambda g: g["min_ttc"] < SHORT_TTC, share=True, better=-1),
     Measure("max_drac", "maximum DRAC", "m/s²", _capped("max_drac", DECELERATION_CAP), median=True, better=-1),
@@ -43,7 +43,7 @@ MEASURES = (
     ),
     Measure("follower_speed_loss", "speed loss of follower", "m/s", _capped("follower_speed_loss"), better=-1),
 )
-COMPARED = ("success", "contact", "min_ttc", "max_drac", "min_gap", "jerk_95", "follower_braking")
+COMPARED = ("completed_without_contact", "contact", "min_ttc", "max_drac", "min_gap", "jerk_95", "follower_braking")
 
 
 def counted(rows: pd.DataFrame) -> pd.DataFrame:
@@ -68,7 +68,7 @@ def counts(rows: pd.DataFrame) -> pd.DataFrame:
                 "why": _frequencies(part.loc[part["infeasible"] != "", "infeasible"]),
                 "interrupted": len(started) - len(complete),
                 "n": len(complete),
-                "hits": _frequencies(complete.loc[complete["hit"] != "", "hit"]),
+                "hits": _frequencies(started.loc[started["contact_with"] != "", "contact_with"]),
             }
         )
     return pd.DataFrame(found)
@@ -79,11 +79,12 @@ def _frequencies(values: pd.Series) -> str:
 
 
 def estimates(rows: pd.DataFrame) -> pd.DataFrame:
-    """One row per cell, policy and measure: value and 95 % interval over counted starts."""
+    """One row per cell, policy and measure: value and 95 % interval over its starts."""
     found = []
-    for key, part in counted(rows).groupby(CELL, dropna=False, sort=False):
+    for key, part in rows[rows["infeasible"] == ""].groupby(CELL, dropna=False, sort=False):
+        complete = counted(part)
         for measure in MEASURES:
-            estimate = measure.estimate(part)
+            estimate = measure.estimate(part if measure.every_start else complete)
             found.append(
                 dict(zip(CELL, key, strict=True))
                 | {"measure": measure.name, "unit": measure.unit, "value": estimate.value}
@@ -96,16 +97,15 @@ def differences(rows: pd.DataFrame) -> pd.DataFrame:
     """One row per cell, policy and measure in COMPARED: this policy minus the first one on the same starts."""
     policies = list(dict.fromkeys(rows["policy"]))
     found = []
-    for (kind, intensity), part in counted(rows).groupby(CELL[:2], dropna=False, sort=False):
-        first = part[part["policy"] == policies[0]].set_index(START)
-        for other in policies[1:]:
-            second = part[part["policy"] == other].set_index(START)
+    for (kind, intensity), part in rows[rows["infeasible"] == ""].groupby(CELL[:2], dropna=False, sort=False):
+        for other, measure in product(policies[1:], (m for m in MEASURES if m.name in COMPARED)):
+            of = part if measure.every_start else counted(part)
+            first, second = (of[of["policy"] == name].set_index(START) for name in (policies[0], other))
             both = first.index.intersection(second.index)
-            for measure in (m for m in MEASURES if m.name in COMPARED):
-                test = measure.difference(second.loc[both], first.loc[both])
-                found.append(
-                    {"perturbation": kind, "intensity": intensity, "policy": other, "against": policies[0]}
-                    | {"measure": measure.name, "unit": measure.unit, "difference": test.difference.value}
-                    | {"low": test.difference.low, "high": test.difference.high, "p": test.p, "n": len(both)}
-                )
+            test = measure.difference(second.loc[both], first.loc[both])
+            found.append(
+                {"perturbation": kind, "intensity": intensity, "policy": other, "against": policies[0]}
+                | {"measure": measure.name, "unit": measure.unit, "difference": test.difference.value}
+                | {"low": test.difference.low, "high": test.difference.high, "p": test.p, "n": len(both)}
+            )
     return pd.DataFrame(found)

@@ -14,7 +14,7 @@ from cosim.spec.perturbations import KINDS
 from cosim.stress.estimates import MEASURES
 from cosim.stress.plan import NOMINAL, TRAFFIC_KINDS
 
-PANELS = ("success", "contact", "min_ttc", "min_gap", "jerk_95", "follower_braking")
+PANELS = ("completed_without_contact", "contact", "min_ttc", "min_gap", "jerk_95", "follower_braking")
 LATERAL = "lateral_change"  # shown instead of the jerk where vehicles change lanes
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "0.45", "#E69F00", "#56B4E9", "#882255")
 MARKERS = "osD^vXP*"

@@ -18,9 +18,10 @@ from cosim.spec.input_files import checkpoint_path, find_net, sha256
 from cosim.spec.loading import override
 from cosim.spec.perturbations import KINDS, AggressiveDrivers, DenserDemand, LowFriction, MoreTrucks
 from cosim.spec.scenario import CarFollowing, ConstantVelocity, Driver, Idm, LeftToSumo, Scenario, TrainedPolicy
+from cosim.world.episode import AFTERMATH
 from gri.errors import InputError
 
-FORMAT = 3  # of the rows of a chunk; with a new number every chunk is computed again
+FORMAT = 4  # of the rows of a chunk; with a new number every chunk is computed again
 NOMINAL = "nominal"
 STARTS_PER_CHUNK = 10
 GROUPS_AT_ONCE = 12
@@ -98,10 +99,10 @@ def chunks(
 ) -> tuple[Chunk, ...]:
     """The chunks of a stress test; the i-th block of STARTS_PER_CHUNK starts has the scenario's seed + i.
 
-    Groups are not observed after the drive, and up to GROUPS_AT_ONCE groups that are far apart are driven together.
-    Raises `InputError` if an intensity is out of range.
+    Groups are observed for AFTERMATH after the drive. Up to GROUPS_AT_ONCE groups that are far apart are driven
+    together. Raises `InputError` if an intensity is out of range.
     """
-    scenario = replace(scenario, watch=0.0, groups_at_once=GROUPS_AT_ONCE)
+    scenario = replace(scenario, watch=AFTERMATH, groups_at_once=GROUPS_AT_ONCE)
     cells = [Cell(kind, float(x)) for kind, intensities in sweeps.items() for x in intensities]
     shared = (Cell(), *(cell for cell in cells if cell.perturbation not in TRAFFIC_KINDS))
     found = []

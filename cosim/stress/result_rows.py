@@ -1,18 +1,21 @@
-"""One row of a stress test's table from the drive of one group."""
+"""The rows of a stress test's table: one from the drive of one group, and their comparison with SUMO's rows."""
 
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from cosim.loop.intervention import GroupChange
 from cosim.measures import surrogate_safety
 from cosim.measures.surrogate_safety import Track
-from cosim.world.episode import COLUMNS, INTERRUPTED, Ending, Episode, EventKind
+from cosim.world.break_ups import do_the_same
+from cosim.world.episode import COLUMNS, INTERRUPTED, BrokenUpBy, Episode, LaneEntry
 from cosim.world.groups import SAME_LANE
+from cosim.world.outcome_columns import outcome_columns
 from cosim.world.snapshot import Snapshot
 
-OTHER, CUTTER = "other", "cutter"  # names in column `hit`: background traffic, and a neighbour that cuts in
+SUMO = "sumo"  # name of the policy that leaves the groups to SUMO
 
 
 def result_row(
@@ -25,10 +28,10 @@ def result_row(
 ) -> dict[str, Any]:
     """Outcome and measures of one drive, whichever policy drove.
 
-    `before` is the snapshot at the take-over, `trace` has one snapshot per step after it, `driven` are the roles that
-    the policy drove. Conflicts and comfort are measured from the first step to the end of the drive; comfort leaves out
-    the first step, which contains the jump of a displaced start. The follower is measured as long as any group of the
-    round is driven.
+    `before` is the snapshot at the take-over, `trace` has one snapshot per driven step after it, `driven` are the roles
+    that the policy drove. Conflicts and comfort are measured from the first step to the end of the drive; comfort
+    leaves out the first step, which contains the jump of a displaced start. The follower is measured as long as any
+    group of the round is driven.
     """
     during = (episode.time > episode.group.time + 1e-6) & (episode.time <= episode.end + 1e-6)
     own = [_track_of_role(episode, role)[during] for role in (0, 1)]
@@ -39,9 +42,9 @@ def result_row(
     return {
         "ending": episode.ending.value,
         "counted": episode.ending not in INTERRUPTED,
-        "success": bool(episode.success),
-        "contact": episode.ending is Ending.CONTACT,
-        "hit": _who_hit_whom(episode, change, trace) if episode.ending is Ending.CONTACT else "",
+        **outcome_columns(episode),
+        "intruders": _written(episode.intruders),
+        "lane_entries": _written(episode.lane_entries),
         "drive_duration": episode.end - episode.group.time,
         "lateral_change": float(abs(d[-1, 1] - d[-1, 0]) - abs(d[0, 1] - d[0, 0])),
         **surrogate_safety.conflicts([*own, *(track for track in others if len(track.time))], (0, 1)),
@@ -80,12 +83,34 @@ def _effect_on_follower(episode: Episode, before: Snapshot, trace: Sequence[Snap
     return surrogate_safety.effect_on(track) if len(track.time) > 1 else {}
 
 
-def _who_hit_whom(episode: Episode, change: GroupChange, trace: Sequence[Snapshot]) -> str:
-    """Which vehicle ran into which, e.g. "0→1": the first is the one of the two whose front bumper is farther back."""
-    now = next(snapshot for snapshot in trace if snapshot.time >= episode.end - 1e-6)
-    names = dict(zip(episode.group.ids, "012", strict=True))
-    if change.successor is not None:
-        names[change.successor] = CUTTER
-    contact = next(event for event in episode.events if event.kind is EventKind.CONTACT)
-    pair = sorted(contact.vehicles, key=lambda vehicle: float(now.s[now.ids.index(vehicle)]))
-    return "→".join(names.get(vehicle, OTHER) for vehicle in pair)
+def compared_with_sumo(rows: pd.DataFrame) -> pd.DataFrame:
+    """The rows with `broken_up_by` OTHERS instead of UNKNOWN where an intruder does the same under the policy `sumo`.
+
+    The row of `sumo` on the same start, and under the same perturbation and intensity, is the counterpart. Without it
+    the cause stays unknown.
+    """
+    key = ["seed", "start", "perturbation", "intensity"]
+    left = rows.loc[rows["policy"] == SUMO].drop_duplicates(key).set_index(key)["lane_entries"].dropna()
+    entries = {_hashable(where): _read(text) for where, text in left.items()}
+    unknown = rows["broken_up_by"] == BrokenUpBy.UNKNOWN.value
+    same = [
+        do_the_same(_read(intruders), entries.get(_hashable(where), ()))
+        for intruders, *where in rows.loc[unknown, ["intruders", *key]].itertuples(index=False)
+    ]
+    causes = rows["broken_up_by"].copy()
+    causes[unknown] = [BrokenUpBy.OTHERS.value if others else BrokenUpBy.UNKNOWN.value for others in same]
+    return rows.assign(broken_up_by=causes)
+
+
+def _hashable(where: Any) -> tuple[str, ...]:
+    """A start and a cell as a key; undisturbed cells have a missing intensity, which is not equal to itself."""
+    return tuple(map(str, where))
+
+
+def _written(entries: Sequence[LaneEntry]) -> str:
+    return " ".join(f"{entry.vehicle}@{entry.time:.2f}" for entry in entries)
+
+
+def _read(text: str) -> tuple[LaneEntry, ...]:
+    pairs = (entry.rpartition("@") for entry in text.split())
+    return tuple(LaneEntry(vehicle, float(time)) for vehicle, _, time in pairs)

@@ -21,6 +21,7 @@ from cosim.spec.scenario import Merge, TrainedPolicy
 from cosim.stress import estimates, figures
 from cosim.stress.plan import NOMINAL, PACKAGES, Chunk
 from cosim.stress.report import stress_report
+from cosim.stress.result_rows import compared_with_sumo
 
 Tell = Callable[[str, int, int], None]
 
@@ -58,7 +59,9 @@ def run_stress(chunks: Sequence[Chunk], folder: Path, workers: int, tell: Tell) 
         _finish([pool.submit(compute, chunk) for chunk in chunks if missing[chunk.key]])
     rows = pd.concat([_read_rows(chunk, paths) for chunk in chunks], ignore_index=True)
     records = [json.loads(path.with_suffix(".json").read_text()) for path in paths.values()]
-    return rows, Computation(sum(part["seconds"] for part in records), sorted({part["commit"] for part in records}))
+    return compared_with_sumo(rows), Computation(
+        sum(part["seconds"] for part in records), sorted({part["commit"] for part in records})
+    )
 
 
 def _read_rows(chunk: Chunk, paths: Mapping[str, Path]) -> pd.DataFrame:

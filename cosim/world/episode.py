@@ -31,6 +31,55 @@ class Ending(StrEnum):
 INTERRUPTED = frozenset({Ending.CUT_IN, Ending.LANE_LEFT, Ending.LOST})
 ARRIVED = frozenset({Ending.HORIZON, Ending.MERGED})
 LEFT_ALONE = frozenset({"sumo", "recorded"})  # drivers of groups that no policy drove
+AFTERMATH = 10.0  # [s] after the hand-back of a group in which its contacts still count
+OTHER, CUTTER = "other", "cutter"  # names in `Contact.who`: outsiders, and a neighbour that was made to cut in
+
+
+class BrokenUpBy(StrEnum):
+    """The cause that broke up a group before its drive was completed (docs/decisions/003)."""
+
+    NOBODY = ""  # the group stayed together
+    POLICY = "policy"  # a driven vehicle left its lane, vanished, or moved behind an outsider that kept its lane
+    OTHERS = "others"  # vehicles that the policy does not drive; they do the same in the counterpart
+    UNKNOWN = "unknown"  # an outsider cut in, which it does not do in the counterpart, or there is no counterpart
+
+
+@dataclass(frozen=True)
+class Contact:
+    """The first moment at which the boxes of two vehicles overlap, at least one of them a member of the group.
+
+    `time` is in s. `vehicles` are their ids, the one farther back first: it drove into the other. `who` names the same
+    two by role, such as "0→1", "1→other" or "other→0". `speed_difference` [m/s] is the closing speed: the norm of the
+    difference of both velocities. `after_hand_back` says whether the drive of the group was over.
+    """
+
+    time: float
+    vehicles: tuple[str, str]
+    who: str
+    speed_difference: float
+    after_hand_back: bool
+
+
+@dataclass(frozen=True)
+class LaneEntry:
+    """An outsider changed into the lane of the group, near the group, at `time` [s]."""
+
+    vehicle: str
+    time: float
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a drive came to, in three facts.
+
+    `contact`: a vehicle that the policy drives touched another one, or two members touched each other, from the
+    take-over until AFTERMATH after the hand-back. `completed`: the group was driven to the horizon, or merged.
+    `order_kept`: the paper's success (Sec. VI-E), see `Episode.order_kept`.
+    """
+
+    contact: bool
+    completed: bool
+    order_kept: bool
 
 
 class EventKind(StrEnum):
@@ -64,7 +113,11 @@ class Episode:
     `state` has the features of COLUMNS for the roles 0, 1, 2, `valid` says where a vehicle is present, `driven` where a
     policy commanded it. `order` lists the roles from the rear to the front by the group rule. `graph` is the graph that
     the policy used, one row for each instant of `graph_time` [s] (None where the policy has no graph). `end` [s] is the
-    time of the hand-back, `length` and `width` are in m.
+    time of the hand-back, `length` and `width` are in m. `judged_roles` are the roles that the policy of the round
+    drives; where SUMO drives the group they are the same ones, so that both are judged alike. `contacts` are those of
+    all members, `lane_entries` are lane changes of outsiders until AFTERMATH after the hand-back, `intruders` those of
+    them that ended the drive as cut_in. `broken_up_by` is final after the comparison with the counterpart
+    (`cosim.world.break_ups.compared`).
     """
 
     driver: str
@@ -81,6 +134,11 @@ class Episode:
     ending: Ending
     end: float
     events: tuple[Event, ...]
+    judged_roles: tuple[int, ...] = (0, 1)
+    contacts: tuple[Contact, ...] = ()
+    lane_entries: tuple[LaneEntry, ...] = ()
+    intruders: tuple[LaneEntry, ...] = ()
+    broken_up_by: BrokenUpBy = BrokenUpBy.NOBODY
 
     def feature(self, name: str) -> Float[np.ndarray, "T 3"]:
         """One of COLUMNS."""
@@ -121,12 +179,29 @@ class Episode:
         return np.vstack([np.zeros((1, 3)), np.diff(a, axis=0) / np.diff(self.time)[:, None]])
 
     @property
-    def success(self) -> bool:
+    def order_kept(self) -> bool:
         """Whether the drive was completed without contact and every follower is behind its leader by δ_f at the end.
 
-        Completed means driven to the horizon, or merged. Car following has the followers 0 and 1, a merge has vehicle 0
-        behind the leader 2 (Sec. VI-E of the paper).
+        This is the paper's success. Completed means driven to the horizon, or merged. Car following has the followers 0
+        and 1, a merge has vehicle 0 behind the leader 2 (Sec. VI-E of the paper).
         """
         s = self.feature("s")[np.flatnonzero(self.during_drive)[-1]]
         followed = ((0, 1), (1, 2)) if self.order == (0, 1, 2) else ((0, 2),)
         return self.ending in ARRIVED and all(s[ahead] - s[behind] >= SUCCESS_HEADWAY for behind, ahead in followed)
+
+    @property
+    def counted_contacts(self) -> tuple[Contact, ...]:
+        """The contacts between members, and those of judged roles; not those of an undriven member with an outsider."""
+        judged, members = {str(role) for role in self.judged_roles}, {"0", "1", "2"}
+        sides = [(contact, set(contact.who.split("→"))) for contact in self.contacts]
+        return tuple(contact for contact, both in sides if both & judged or both <= members)
+
+    @property
+    def outcome(self) -> Outcome:
+        """The three facts about the drive."""
+        return Outcome(bool(self.counted_contacts), self.ending in ARRIVED, self.order_kept)
+
+    @property
+    def judged_after(self) -> float:
+        """How long [s] contacts were judged after the hand-back: AFTERMATH, or less where the watch is shorter."""
+        return min(AFTERMATH, float(self.time[-1]) - self.end)

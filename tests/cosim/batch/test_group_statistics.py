@@ -11,7 +11,8 @@ def row(policy: str, driver: str, vehicle: str, seed: int = 1, **changes) -> dic
     return {
         "run": f"{policy}{seed}", "scenario": "s", "policy": policy, "perturbation": "nominal", "intensity": np.nan,
         "variant": "plain", "seed": seed, "driver": driver, "vehicle_0": vehicle, "vehicle_1": "b", "vehicle_2": "c",
-        "takeover_time": 10.0, "ending": "horizon", "success": True, "contact": False, "min_ttc": np.inf,
+        "takeover_time": 10.0, "ending": "horizon", "contact": False, "completed": True, "order_kept": True,
+        "completed_without_contact": True, "broken_up_by": "", "min_ttc": np.inf,
         "min_gap": 10.0, "mean_speed": 10.0, "jerk_within_3": 1.0, "min_acceleration": -1.0,
     } | changes  # fmt: skip
 
@@ -24,8 +25,10 @@ def groups() -> pd.DataFrame:
         rows += [row(policy, "gri", "a1"), row(policy, "gri", "a2"), row(policy, "gri", "a3")]
         rows += [row(policy, "sumo", f"a{k}", mean_speed=8.0) for k in (1, 2, 3)]
     table = pd.DataFrame(rows)
-    table.loc[1, ["success", "contact", "ending", "min_gap"]] = [False, True, "contact", -1.0]
-    table.loc[2, ["success", "ending"]] = [False, "cut_in"]
+    failed = ["completed", "order_kept", "completed_without_contact"]
+    table.loc[[1, 2], failed] = False
+    table.loc[1, ["contact", "ending", "min_gap"]] = [True, "contact", -1.0]
+    table.loc[2, ["ending", "broken_up_by"]] = ["cut_in", "unknown"]
     return table
 
 
@@ -40,14 +43,16 @@ def test_a_run_left_to_sumo_as_a_whole_is_a_policy_like_any_other(groups):
     assert (table["policy"] == "left").sum() == 1
 
 
-def test_interrupted_groups_count_in_nothing_else(groups):
+def test_interrupted_groups_count_in_the_outcome_and_in_nothing_else(groups):
     table = group_statistics.headline(group_statistics.with_counterparts(groups), ["policy"]).set_index("policy")
     assert (table.loc["x", "groups"], table.loc["x", "interrupted"]) == (3, 1)
-    success = table.loc["x", "success"]
-    assert (success.n, success.value) == (2, 0.5)
-    # Wilson for 1 of 2: (0.5 + z²/4 ± z·sqrt(0.25/2 + z²/16)) / (1 + z²/2) with z = 1.96 is 0.0945 to 0.9055.
-    assert (success.low, success.high) == pytest.approx((0.0945, 0.9055), abs=1e-3)
-    assert table.loc["y", "success"].value == 1.0
+    completed = table.loc["x", "completed_without_contact"]
+    assert (completed.n, completed.value) == (3, pytest.approx(1 / 3))
+    assert table.loc["x", "min_gap"].n == 2
+    short = table.loc["x", "short_ttc"]
+    # Wilson for 0 of 2: 0 to z²/2 / (1 + z²/2) with z = 1.96, which is 0.6576.
+    assert (short.low, short.high) == pytest.approx((0.0, 0.6576), abs=1e-3)
+    assert table.loc["y", "completed_without_contact"].value == 1.0
     assert table.loc[group_statistics.LEFT_TO_SUMO, "mean_speed"].value == 8.0
 
 
@@ -57,8 +62,8 @@ def test_pairs_are_the_same_start_on_both_sides(groups):
     assert first["vehicle_0"].tolist() == second["vehicle_0"].tolist() == ["a1", "a2"]
     assert set(first["policy"]) == {"x"}
     tests = group_statistics.differences(table, "x", "y")
-    assert tests["success"].difference.value == -0.5
-    assert tests["success"].p == 1.0, "one start that differs: McNemar's exact p is 2 · 1/2"
+    assert tests["completed_without_contact"].difference.value == pytest.approx(-2 / 3)
+    assert tests["completed_without_contact"].p == 0.5, "two starts that differ: McNemar's exact p is 2 · 1/4"
     assert tests["min_gap"].difference.value == pytest.approx((0 - 11.0) / 2)
     assert tests["short_ttc"].difference.value == 0.0
 
@@ -66,8 +71,8 @@ def test_pairs_are_the_same_start_on_both_sides(groups):
 def test_no_common_start_is_no_difference(groups):
     table = group_statistics.with_counterparts(groups)
     tests = group_statistics.differences(table.assign(seed=np.where(table["policy"] == "x", 1, 2)), "x", "y")
-    assert tests["success"].difference.n == 0
-    assert np.isnan(tests["success"].p)
+    assert tests["completed"].difference.n == 0
+    assert np.isnan(tests["completed"].p)
 
 
 def test_intensities_keep_their_own_pairs(groups):

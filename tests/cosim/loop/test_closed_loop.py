@@ -128,7 +128,9 @@ def test_a_contact_ends_the_group_and_both_tests_see_it(short_scenario, simulate
         assert EventKind.CONTACT in kinds
         assert EventKind.SUMO_COLLISION in kinds
         assert episode.gap[episode.during_drive].min() < 0
-        assert not episode.success
+        assert episode.outcome.contact
+        assert not episode.outcome.completed
+        assert not episode.order_kept
         assert not episode.driven[episode.time > episode.end].any()
 
 

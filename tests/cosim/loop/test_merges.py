@@ -15,7 +15,7 @@ from cosim.spec.loading import load_scenario
 from cosim.spec.scenario import Enforced
 from cosim.sumo.positions import SHADOW
 from cosim.traffic.simulation_input import SumoFiles
-from cosim.world.episode import COLUMNS, Ending, EventKind
+from cosim.world.episode import COLUMNS, Ending, EventKind, Outcome
 from gri.core.graph import LANE_CHANGING, InteractionGraph
 from gri.core.merging_policy import MergingDriver
 from gri.core.policy import IntelligentDriver, PolicyState
@@ -45,7 +45,7 @@ def test_groups_are_driven_until_they_merged(outcome):
     assert Ending.MERGED in {episode.ending for episode in outcome.episodes}
     for episode in outcome.episodes:
         if episode.ending is Ending.MERGED:
-            assert episode.success
+            assert episode.outcome == Outcome(contact=False, completed=True, order_kept=True)
             at_the_end = episode.feature("d")[np.flatnonzero(episode.during_drive)[-1]]
             assert abs(at_the_end[0] - at_the_end[2]) < 1.0
             k = np.flatnonzero(episode.during_drive)[-1]
@@ -103,7 +103,7 @@ class TurnsAway(MergingDriver):
 def test_leaving_the_road_ends_the_group(simulate):
     episode = simulate(short("us101", episodes=1), TurnsAway(IntelligentDriver(0.2))).episodes[0]
     assert episode.ending is Ending.OFF_ROAD
-    assert not episode.success
+    assert not episode.outcome.completed
     assert EventKind.VANISHED not in {event.kind for event in episode.events}
 
 

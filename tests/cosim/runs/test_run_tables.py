@@ -100,11 +100,11 @@ def test_another_graph_is_not_as_expected():
     assert not other["graph_as_expected"].iloc[0]
 
 
-@pytest.mark.parametrize(("gap", "success"), [(15.0, True), (-3.5, False)])
-def test_success_needs_the_papers_final_headway(gap, success):
+@pytest.mark.parametrize(("gap", "kept"), [(15.0, True), (-3.5, False)])
+def test_order_kept_needs_the_papers_final_headway(gap, kept):
     # Headway = gap + 5 m of vehicle; the paper's threshold is 2 m.
-    assert episode(gap=gap).success is success
-    assert not episode(ending=Ending.CONTACT).success
+    assert episode(gap=gap).order_kept is kept
+    assert not episode(ending=Ending.CONTACT).order_kept
 
 
 def test_tables_survive_the_disk_and_repeat_byte_for_byte(tables, tmp_path):
@@ -158,7 +158,7 @@ def test_summary_counts_what_the_table_holds(tables):
     cells = {row: list(column) for row, column in zip(("label", "gri", "sumo"), _columns(table), strict=True)}
     values = dict(zip(cells["label"], cells["gri"], strict=True))
     assert values["groups"] == "1"
-    assert values["  driven to the end"] == "1 of 1"
+    assert values["completed without contact"] == values["  completed"] == values["  order kept"] == "1 of 1"
     assert values["inferred edges"] == "2→1 follow 100 %\n1→0 follow 100 %"
     assert dict(zip(cells["label"], cells["sumo"], strict=True))["inferred edges"] == "-"
 

@@ -77,7 +77,8 @@ def groups() -> pd.DataFrame:
         rows.append(
             {
                 "run": f"r{k}", "policy": ("gri", "idm")[k % 2], "perturbation": "braking", "intensity": float(k % 3),
-                "driver": "gri", "ending": "contact" if k == 5 else "horizon", "success": k != 5, "contact": k == 5,
+                "driver": "gri", "ending": "contact" if k == 5 else "horizon", "contact": k == 5,
+                "completed_without_contact": k != 5,
                 "min_ttc": float(rng.uniform(1, 9)), "min_gap": float(rng.uniform(1, 9)), "mean_speed": 10.0 + k,
                 "min_acceleration": -1.0, "jerk_within_3": 1.0, "edge_1_0": "follow", "edge_1_0_p": 0.9,
                 "edge_0_1": "none" if k % 4 else "follow", "edge_0_1_p": 0.8,
@@ -88,14 +89,14 @@ def groups() -> pd.DataFrame:
 
 def test_charts_take_the_text_colour_of_the_page_and_name_their_axes(groups):
     for text in (
-        svg_charts.curves(groups, "braking", "m/s²", ("success", "min_gap")),
+        svg_charts.curves(groups, "braking", "m/s²", ("completed_without_contact", "min_gap")),
         svg_charts.distributions(groups, ["min_gap"]),
     ):
         assert text.startswith("<svg")
         assert svg_charts.INK not in text
         assert "currentColor" in text
         assert "minimum gap [m]" in text
-    assert "intensity of braking [m/s²]" in svg_charts.curves(groups, "braking", "m/s²", ("success",))
+    assert "intensity of braking [m/s²]" in svg_charts.curves(groups, "braking", "m/s²", ("completed_without_contact",))
 
 
 def test_graphs_are_counted(groups):

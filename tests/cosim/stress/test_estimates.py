@@ -12,7 +12,8 @@ from cosim.stress.report import stress_report
 def row(start: int, policy="a", kind="nominal", intensity=None, **changes):
     base = {
         "seed": 1, "start": f"x{start}", "policy": policy, "perturbation": kind, "intensity": intensity,
-        "infeasible": "", "counted": True, "success": True, "contact": False, "hit": "", "ending": "horizon",
+        "infeasible": "", "counted": True, "contact": False, "completed": True, "order_kept": True,
+        "completed_without_contact": True, "broken_up_by": "", "contact_with": "", "ending": "horizon",
         "min_ttc": 5.0 + start, "max_drac": 0.1, "min_pet": 1.0, "min_gap": 8.0 + start, "min_headway": 1.0,
         "jerk_50": 0.1, "jerk_95": 1.0, "jerk_99": 2.0, "hard_brakings": 0.0, "lateral_change": 0.0,
         "follower_min_acceleration": -1.0, "follower_speed_loss": 1.0,
@@ -28,12 +29,13 @@ def rows() -> pd.DataFrame:
         made += [row(k, policy) for k in range(10)]
         for k in range(10):
             changes = {}
+            failed = {"completed": False, "order_kept": False, "completed_without_contact": False}
             if k < 2:
-                changes = {"infeasible": "overlap"} | {"counted": None, "success": None, "contact": None, "hit": None}
+                changes = {"infeasible": "overlap"} | dict.fromkeys(["counted", "contact", "contact_with", *failed])
             elif policy == "b" and k == 2:
-                changes = {"counted": False, "success": False, "ending": "cut_in"}
+                changes = failed | {"counted": False, "ending": "cut_in", "broken_up_by": "policy"}
             elif policy == "b" and k > 5:
-                changes = {"success": False, "contact": True, "hit": "0→1", "min_ttc": 0.0, "max_drac": np.inf}
+                changes = failed | {"contact": True, "contact_with": "0→1", "min_ttc": 0.0, "max_drac": np.inf}
             made.append(row(k, policy, "headway_ratio", 0.5, **changes))
     return pd.DataFrame(made)
 
@@ -46,11 +48,11 @@ def test_counts_list_everything_that_is_left_out(rows):
     assert found["hits"] == "4 0→1"
 
 
-def test_estimates_are_over_counted_starts(rows):
+def test_outcomes_are_over_feasible_starts_and_measures_over_counted_ones(rows):
     found = estimates(rows).set_index(["perturbation", "policy", "measure"])["value"]
-    assert found["nominal", "a", "success"] == 1.0
-    assert found["headway_ratio", "b", "success"] == pytest.approx(3 / 7)
-    assert found["headway_ratio", "b", "contact"] == pytest.approx(4 / 7)
+    assert found["nominal", "a", "completed_without_contact"] == 1.0
+    assert found["headway_ratio", "b", "completed_without_contact"] == pytest.approx(3 / 8)
+    assert found["headway_ratio", "b", "contact"] == pytest.approx(4 / 8)
     assert found["headway_ratio", "a", "min_ttc"] == 5.0 + np.median(range(2, 10))
     assert found["headway_ratio", "b", "short_ttc"] == pytest.approx(4 / 7)
     assert np.isfinite(found["headway_ratio", "b", "max_drac"])  # a contact counts as the cap
@@ -58,19 +60,21 @@ def test_estimates_are_over_counted_starts(rows):
 
 
 def test_differences_are_on_the_same_starts(rows):
-    """Of the seven starts that both drove, b alone fails in four: −4/7, McNemar p = 2/2⁴ = 0.125."""
-    found = differences(rows).set_index(["perturbation", "measure"]).loc[("headway_ratio", "success")]
-    assert found["n"] == 7
-    assert found["difference"] == pytest.approx(-4 / 7)
-    assert found["p"] == pytest.approx(0.125)
+    """Of the eight feasible starts b alone fails in five: −5/8, McNemar p = 2/2⁵ = 0.0625."""
+    found = differences(rows).set_index(["perturbation", "measure"]).loc["headway_ratio"]
+    assert found.loc["min_gap", "n"] == 7, "only starts that both drove to the end"
+    found = found.loc["completed_without_contact"]
+    assert found["n"] == 8
+    assert found["difference"] == pytest.approx(-5 / 8)
+    assert found["p"] == pytest.approx(0.0625)
     assert (found["policy"], found["against"]) == ("b", "a")
 
 
 def test_the_report_shows_every_cell(rows):
     text = stress_report("Title", counts(rows), estimates(rows), differences(rows), ["headway_ratio"])
-    assert "| 0.5 | b | 7 | 2 (2 overlap) | 1 | 43 [16, 75]" in text
+    assert "| 0.5 | b | 7 | 2 (2 overlap) | 1 | 38 [14, 69] | 50 [22, 78]" in text
     assert "4 0→1 |" in text
-    assert "p = 0.125" in text
+    assert "p = 0.062" in text
     assert text.count("| nominal |") == 3  # two policies, one difference
     assert "figures/" not in text
 
@@ -80,7 +84,7 @@ def test_the_tables_of_the_report_render(rows):
     shown = counts(rows), estimates(rows), differences(rows)
     text = stress_report("Title", *shown, ["headway_ratio"], figures=["headway_ratio"])
     cells = [line.replace("\\|", "").count("|") for line in text.splitlines() if line.startswith("|")]
-    assert cells == [22] * 6 + [11] * 4
+    assert cells == [24] * 6 + [11] * 4
     assert "\\|jerk\\|, median [m/s³]" in text
     assert "![Measures over the intensity of headway_ratio](figures/headway_ratio.png)" in text
 

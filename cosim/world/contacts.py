@@ -1,0 +1,44 @@
+"""Contacts of the groups of a round, from the take-over until AFTERMATH after each group's own hand-back."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from cosim.measures.collision_detection import overlapping_pairs
+from cosim.world.episode import AFTERMATH, CUTTER, OTHER, Contact
+from cosim.world.snapshot import Snapshot, rows_of
+
+
+def contacts_of(
+    trace: Sequence[Snapshot], names: Sequence[Mapping[str, str]], ends: Sequence[float]
+) -> list[tuple[Contact, ...]]:
+    """The contacts of every group in the order of time; every pair of vehicles once, at its first contact.
+
+    `trace` are the snapshots after the take-over. `names` gives, for each group, the names by vehicle id that
+    `Contact.who` uses: the roles of the members, and CUTTER for a neighbour that was made to cut in. Each contact of a
+    group involves at least one member. `ends` [s] are the hand-backs.
+    """
+    members = [{vehicle for vehicle, name in of.items() if name != CUTTER} for of in names]
+    everyone = set().union(*members)
+    found: list[dict[frozenset[str], Contact]] = [{} for _ in names]
+    for now in trace:
+        rows = rows_of(now.ids, everyone)
+        hits = overlapping_pairs(now.xy, now.heading, now.length, now.width, rows)
+        for pair in sorted({tuple(sorted(hit)) for hit in hits.tolist()}):
+            vehicles = frozenset(now.ids[row] for row in pair)
+            for g, end in enumerate(ends):
+                if vehicles & members[g] and vehicles not in found[g] and now.time <= end + AFTERMATH + 1e-6:
+                    found[g][vehicles] = _contact(now, pair, names[g], end)
+    return [tuple(of.values()) for of in found]
+
+
+def _contact(now: Snapshot, pair: tuple[int, ...], names: Mapping[str, str], end: float) -> Contact:
+    rear, ahead = sorted(pair, key=lambda row: (now.s[row], now.ids[row]))
+    velocity = now.v[[rear, ahead]] * np.array([np.cos(now.heading), np.sin(now.heading)])[:, [rear, ahead]]
+    return Contact(
+        time=now.time,
+        vehicles=(now.ids[rear], now.ids[ahead]),
+        who="→".join(names.get(now.ids[row], OTHER) for row in (rear, ahead)),
+        speed_difference=float(np.linalg.norm(velocity[:, 0] - velocity[:, 1])),
+        after_hand_back=now.time > end + 1e-6,
+    )

@@ -1,0 +1,118 @@
+"""The cause that broke up a group, on hand-made traffic: the group a, b, c in one lane, x beside it."""
+
+import pytest
+
+from cosim.world.break_ups import NEAR_GROUP, SAME_TIME, compared, lane_entries, with_cause
+from cosim.world.episode import BrokenUpBy, Contact, Ending, LaneEntry
+from tests.cosim.world.traffic import LANE, episode, snapshot
+
+CHAIN = {"a": (0.0, 0.0), "b": (20.0, 0.0), "c": (40.0, 0.0)}
+START = snapshot(0.0, **CHAIN, x=(30.0, LANE))
+MERGE = (1, 0, 2)
+
+
+def judged(ending: Ending, *trace, takeover=START, members=("a", "b", "c"), **changes):
+    """The episode with its cause, and its lane entries."""
+    end = trace[-1].time
+    entries = lane_entries(takeover, trace, members, end)
+    return with_cause(episode(ending, end, lane_entries=entries, **changes), members, takeover, trace)
+
+
+def cut_in(at: float, vehicle: str = "x"):
+    """A vehicle changes into the gap between b and c."""
+    takeover = snapshot(0.0, **CHAIN, **{vehicle: (30.0, LANE)})
+    trace = [snapshot(at - 0.2, **CHAIN, **{vehicle: (30.0, LANE)}), snapshot(at, **CHAIN, **{vehicle: (30.0, 0.0)})]
+    return judged(Ending.CUT_IN, *trace, takeover=takeover)
+
+
+def test_a_driven_vehicle_that_leaves_its_lane_is_the_policys_doing():
+    left = judged(Ending.LANE_LEFT, snapshot(0.2, **CHAIN | {"b": (20.0, -LANE)}))
+    assert left.broken_up_by is BrokenUpBy.POLICY
+    counterpart = judged(Ending.LANE_LEFT, snapshot(0.2, **CHAIN | {"b": (20.0, -LANE)}))
+    assert compared(left, counterpart).broken_up_by is BrokenUpBy.POLICY, "whatever SUMO's drivers do"
+
+
+def test_an_undriven_vehicle_that_leaves_its_lane_is_not():
+    left = snapshot(0.2, **CHAIN | {"c": (40.0, -LANE)})
+    assert judged(Ending.LANE_LEFT, left).broken_up_by is BrokenUpBy.OTHERS
+    assert judged(Ending.LANE_LEFT, left, judged_roles=(0,)).broken_up_by is BrokenUpBy.OTHERS
+    b_left = snapshot(0.2, **CHAIN | {"b": (20.0, LANE)})
+    assert judged(Ending.LANE_LEFT, b_left, judged_roles=(0,)).broken_up_by is BrokenUpBy.OTHERS
+
+
+def test_a_policy_that_drifts_out_of_its_lane_step_by_step_is_not_hidden_behind_a_cut_in():
+    """No step is a jump, so that the group ends when c is no longer the next vehicle ahead of b."""
+    trace = [snapshot(0.2 * k, **CHAIN | {"b": (20.0, 0.3 * k)}) for k in range(1, 5)]
+    assert judged(Ending.CUT_IN, *trace).broken_up_by is BrokenUpBy.POLICY
+    trace = [snapshot(0.2 * k, **CHAIN | {"c": (40.0, 0.3 * k)}) for k in range(1, 5)]
+    assert judged(Ending.CUT_IN, *trace).broken_up_by is BrokenUpBy.OTHERS
+
+
+def test_a_vehicle_that_is_gone():
+    assert judged(Ending.LOST, snapshot(0.2, b=(20.0, 0.0), c=(40.0, 0.0))).broken_up_by is BrokenUpBy.POLICY
+    assert judged(Ending.LOST, snapshot(0.2, a=(0.0, 0.0), b=(20.0, 0.0))).broken_up_by is BrokenUpBy.OTHERS
+
+
+def test_a_cut_in_is_unknown_until_the_counterpart_shows_it_too():
+    branch = cut_in(at=4.0)
+    assert branch.intruders == (LaneEntry("x", 4.0),)
+    assert branch.broken_up_by is BrokenUpBy.UNKNOWN
+    assert compared(branch, cut_in(at=4.0 + SAME_TIME)).broken_up_by is BrokenUpBy.OTHERS
+    assert compared(branch, cut_in(at=5.2 + SAME_TIME)).broken_up_by is BrokenUpBy.UNKNOWN, "too late to be the same"
+    assert compared(branch, cut_in(at=4.0, vehicle="y")).broken_up_by is BrokenUpBy.UNKNOWN, "another vehicle"
+    undisturbed = judged(Ending.HORIZON, snapshot(4.0, **CHAIN, x=(30.0, LANE)))
+    assert compared(branch, undisturbed).broken_up_by is BrokenUpBy.UNKNOWN
+    assert compared(branch, branch).broken_up_by is BrokenUpBy.OTHERS, "a counterpart is its own counterpart"
+
+
+def test_the_counterpart_counts_the_same_lane_change_also_where_it_is_no_cut_in():
+    """The counterpart is elsewhere along the road by then: x changes lane behind it."""
+    ahead = {name: (s + 40.0, d) for name, (s, d) in CHAIN.items()}
+    trace = [snapshot(3.8, **ahead, x=(30.0, LANE)), snapshot(4.0, **ahead, x=(30.0, 0.0))]
+    assert compared(cut_in(at=4.0), judged(Ending.HORIZON, *trace)).broken_up_by is BrokenUpBy.OTHERS
+
+
+def test_a_vehicle_that_falls_behind_an_outsider_that_kept_its_lane():
+    """In a merge the lag vehicle b drops behind x, which was in the target lane behind it all the time."""
+    takeover = snapshot(0.0, a=(10.0, -LANE), b=(20.0, 0.0), c=(40.0, 0.0), x=(12.0, 0.0))
+    trace = [
+        snapshot(0.2, a=(10.0, -LANE), b=(20.0, 0.6), c=(40.0, 0.0), x=(19.0, 0.0)),
+        snapshot(0.4, a=(10.0, -LANE), b=(20.0, 0.6), c=(40.0, 0.0), x=(21.0, 0.0)),
+    ]
+    found = judged(Ending.CUT_IN, *trace, takeover=takeover, order=MERGE)
+    assert (found.broken_up_by, found.intruders) == (BrokenUpBy.POLICY, ())
+    assert judged(Ending.CUT_IN, *trace, takeover=takeover, order=MERGE, judged_roles=(0,)).broken_up_by is (
+        BrokenUpBy.OTHERS
+    )
+
+
+def test_the_lane_change_of_the_merging_vehicle_breaks_up_nothing():
+    """Vehicle a merges in the step in which c leaves its lane."""
+    now = snapshot(0.2, a=(10.0, 0.0), b=(0.0, 0.0), c=(40.0, LANE))
+    takeover = snapshot(0.0, a=(10.0, -LANE), b=(0.0, 0.0), c=(40.0, 0.0))
+    assert judged(Ending.LANE_LEFT, now, takeover=takeover, order=MERGE).broken_up_by is BrokenUpBy.OTHERS
+
+
+def test_a_contact_that_is_not_the_policys_is_a_break_up_by_others():
+    contact = Contact(0.2, ("x", "b"), "other→1", 3.0, after_hand_back=False)
+    crash = {"ending": Ending.CONTACT, "contacts": (contact,)}
+    assert judged(*[crash["ending"], START], contacts=(contact,)).broken_up_by is BrokenUpBy.NOBODY
+    undriven = judged(Ending.CONTACT, START, contacts=(contact,), judged_roles=(0,))
+    assert undriven.broken_up_by is BrokenUpBy.OTHERS
+    assert not undriven.outcome.contact
+
+
+@pytest.mark.parametrize("ending", [Ending.HORIZON, Ending.MERGED, Ending.LATE, Ending.LANE_END, Ending.OFF_ROAD])
+def test_other_endings_break_up_nothing(ending):
+    assert judged(ending, snapshot(0.2, **CHAIN)).broken_up_by is BrokenUpBy.NOBODY
+
+
+def test_lane_entries_are_changes_into_the_lane_near_the_group():
+    trace = [
+        snapshot(0.2, **CHAIN, x=(30.0, 2.0), far=(45.0 + NEAR_GROUP, LANE), new=(10.0, 0.0)),
+        snapshot(0.4, **CHAIN, x=(30.0, 0.9), far=(45.0 + NEAR_GROUP, 0.0), new=(10.0, 0.0)),
+        snapshot(0.6, **CHAIN, x=(30.0, 0.0), far=(45.0 + NEAR_GROUP, 0.0), new=(10.0, 0.0)),
+    ]
+    found = lane_entries(START, trace, ("a", "b", "c"), end=0.6)
+    assert found == (LaneEntry("x", 0.4),), "neither far away, nor in the lane when it was first seen"
+    assert lane_entries(START, trace, ("a", "b", "c"), end=-10.0) == ()
