@@ -20,12 +20,15 @@ from cosim.loop.state_layouts import layout_of
 from cosim.loop.take_over_and_hand_back import Control, PolicyControl, SumoControl
 from cosim.spec.scenario import GraphSource, Inferred
 from cosim.sumo import Sumo
-from cosim.world.episode import Episode
+from cosim.world.episode import AFTERMATH, COLUMNS, Episode
 from cosim.world.groups import order_of
 from cosim.world.road_frame import RoadFrame
 from cosim.world.snapshot import Snapshot
+from cosim.world.surroundings import Surroundings
 from gri.core.graph import InteractionGraph
 from gri.core.policy import Policy
+
+_S = COLUMNS.index("s")
 
 
 @dataclass(frozen=True)
@@ -102,6 +105,7 @@ def drive(world: Sumo, road: RoadFrame, start: RoundStart) -> list[Episode]:
     """Drive (or only record) the groups of a round until all have ended, then watch them; one Episode per group."""
     this_round, control, intervention = start.round, start.control, start.intervention
     now, observations = start.now, [*start.observations]
+    around = [now]
     rows = observations[-1].rows
     length, width = now.length[rows], now.width[rows]
     recorder = RoundRecorder(this_round, width)
@@ -115,6 +119,7 @@ def drive(world: Sumo, road: RoadFrame, start: RoundStart) -> list[Episode]:
         intervention.command(world, road, step, control.roles, now)
         report, step = world.step(), step + 1
         now, observation = intervention.observe(world, road, before)
+        around.append(world.snapshot(road) if this_round.reads_all else now)
         observation = control.verify(observation, active, recorder)
         recorder.judge(observation, before, now, report, last=step == this_round.driven_steps)
         control.hand_back(world, recorder, observation, ended=set(active) - set(recorder.active))
@@ -124,22 +129,25 @@ def drive(world: Sumo, road: RoadFrame, start: RoundStart) -> list[Episode]:
         intervention.command(world, road, watched, control.roles, now)
         world.step()
         now, observation = intervention.observe(world, road, observations[-1])
+        around.append(world.snapshot(road) if this_round.reads_all else now)
         observations.append(observation.with_last_known_states(observations[-1]))
-    return _episodes(recorder, control, observations, length, width)
+    return _episodes(recorder, control, observations, Surroundings.of(around), length, width)
 
 
 def _episodes(
     recorder: RoundRecorder,
     control: Control,
     observations: Sequence[GroupObservation],
+    around: Surroundings,
     length: np.ndarray,
     width: np.ndarray,
 ) -> list[Episode]:
-    """One episode per group; `length` and `width` [m] are of shape (G, 3)."""
+    """One episode per group, with its part of what is `around`; `length` and `width` [m] are of shape (G, 3)."""
     this_round = recorder.round
     time = np.array([observation.time for observation in observations])
     state = np.stack([observation.state for observation in observations], axis=1)
     valid = np.stack([observation.valid for observation in observations], axis=1)
+    members = slice(3 if this_round.has_third_vehicle else 2)
     episodes = []
     for g, group in enumerate(this_round.groups):
         end = recorder.ends[g]
@@ -160,6 +168,7 @@ def _episodes(
             ending=recorder.endings[g],
             end=end,
             events=tuple(recorder.events[g]) + braking,
+            surroundings=around.near(time, state[g, :, members, _S], group.time, end + AFTERMATH),
         )
         episodes.append(episode)
     return episodes

@@ -101,7 +101,7 @@ def chunks(
     Groups are not observed after the drive, and up to GROUPS_AT_ONCE groups that are far apart are driven together.
     Raises `InputError` if an intensity is out of range.
     """
-    scenario = replace(scenario, watch=0.0, groups_at_once=GROUPS_AT_ONCE)
+    scenario = replace(scenario, watch=0.0, groups_at_once=GROUPS_AT_ONCE, surroundings=False)
     cells = [Cell(kind, float(x)) for kind, intensities in sweeps.items() for x in intensities]
     shared = (Cell(), *(cell for cell in cells if cell.perturbation not in TRAFFIC_KINDS))
     found = []

@@ -9,8 +9,10 @@ from jaxtyping import Bool, Float
 from cosim.measures.surrogate_safety import net_gap, time_to_collision
 from cosim.world.groups import Group
 from cosim.world.snapshot import COLUMNS
+from cosim.world.surroundings import Surroundings
 from gri.core.graph import InteractionGraph
 
+AFTERMATH = 10.0  # [s] after the hand-back, the end of which a group is judged
 SUCCESS_HEADWAY = 2.0  # [m], the paper's δ_f (Sec. VI-E)
 
 
@@ -64,7 +66,8 @@ class Episode:
     `state` has the features of COLUMNS for the roles 0, 1, 2, `valid` says where a vehicle is present, `driven` where a
     policy commanded it. `order` lists the roles from the rear to the front by the group rule. `graph` is the graph that
     the policy used, one row for each instant of `graph_time` [s] (None where the policy has no graph). `end` [s] is the
-    time of the hand-back, `length` and `width` are in m.
+    time of the hand-back, `length` and `width` are in m. `surroundings` are the vehicles around the group from the
+    take-over to AFTERMATH after the hand-back.
     """
 
     driver: str
@@ -81,6 +84,7 @@ class Episode:
     ending: Ending
     end: float
     events: tuple[Event, ...]
+    surroundings: Surroundings | None = None
 
     def feature(self, name: str) -> Float[np.ndarray, "T 3"]:
         """One of COLUMNS."""
