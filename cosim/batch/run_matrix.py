@@ -125,7 +125,8 @@ class _KnownNames:
             if label in scenarios:
                 raise located(path, where, f"two scenarios have the name {label!r}; remove one, or rename its file")
             with _naming_field(path, where):
-                scenarios[label] = load_scenario(name, beside=path)
+                own = load_scenario(name, beside=path)
+                scenarios[label] = msgspec.structs.replace(own, surroundings=False)  # large; `overrides` can turn it on
         nominal = (NOMINAL,) if batch.nominal else ()
         return cls(
             scenarios, tuple(batch.policies), (*nominal, *batch.perturbations), tuple(batch.variants) or (PLAIN,)

@@ -22,12 +22,15 @@ from cosim.spec.scenario import GraphSource, Inferred
 from cosim.sumo import Sumo
 from cosim.world.break_ups import lane_entries, with_cause
 from cosim.world.contacts import contacts_of
-from cosim.world.episode import Contact, Episode, Event, EventKind
+from cosim.world.episode import AFTERMATH, COLUMNS, Contact, Episode, Event, EventKind
 from cosim.world.groups import order_of
 from cosim.world.road_frame import RoadFrame
 from cosim.world.snapshot import Snapshot
+from cosim.world.surroundings import Surroundings
 from gri.core.graph import InteractionGraph
 from gri.core.policy import Policy
+
+_S = COLUMNS.index("s")
 
 
 @dataclass(frozen=True)
@@ -104,6 +107,7 @@ def drive(world: Sumo, road: RoadFrame, start: RoundStart) -> list[Episode]:
     """Drive (or only record) the groups of a round until all have ended, then watch them; one Episode per group."""
     this_round, control, intervention = start.round, start.control, start.intervention
     now, observations = start.now, [*start.observations]
+    around = [now]
     rows = observations[-1].rows
     length, width = now.length[rows], now.width[rows]
     recorder, trace = RoundRecorder(this_round, width), []
@@ -117,6 +121,7 @@ def drive(world: Sumo, road: RoadFrame, start: RoundStart) -> list[Episode]:
         intervention.command(world, road, step, control.roles, now)
         report, step = world.step(), step + 1
         now, observation = intervention.observe(world, road, before)
+        around.append(world.snapshot(road) if this_round.reads_all else now)
         observation = control.verify(observation, active, recorder)
         recorder.judge(observation, before, now, report, last=step == this_round.driven_steps)
         control.hand_back(world, recorder, observation, ended=set(active) - set(recorder.active))
@@ -127,9 +132,10 @@ def drive(world: Sumo, road: RoadFrame, start: RoundStart) -> list[Episode]:
         intervention.command(world, road, watched, control.roles, now)
         world.step()
         now, observation = intervention.observe(world, road, observations[-1])
+        around.append(world.snapshot(road) if this_round.reads_all else now)
         observations.append(observation.with_last_known_states(observations[-1]))
         trace.append(now)
-    episodes = _episodes(recorder, control, observations, length, width)
+    episodes = _episodes(recorder, control, observations, Surroundings.of(around), length, width)
     return _judged(episodes, intervention, start.now, trace)
 
 
@@ -160,14 +166,16 @@ def _episodes(
     recorder: RoundRecorder,
     control: Control,
     observations: Sequence[GroupObservation],
+    around: Surroundings,
     length: np.ndarray,
     width: np.ndarray,
 ) -> list[Episode]:
-    """One episode per group; `length` and `width` [m] are of shape (G, 3)."""
+    """One episode per group, with its part of what is `around`; `length` and `width` [m] are of shape (G, 3)."""
     this_round = recorder.round
     time = np.array([observation.time for observation in observations])
     state = np.stack([observation.state for observation in observations], axis=1)
     valid = np.stack([observation.valid for observation in observations], axis=1)
+    members = slice(3 if this_round.has_third_vehicle else 2)
     episodes = []
     for g, group in enumerate(this_round.groups):
         end = recorder.ends[g]
@@ -189,6 +197,7 @@ def _episodes(
             end=end,
             events=tuple(recorder.events[g]) + braking,
             judged_roles=this_round.driven_roles,
+            surroundings=around.near(time, state[g, :, members, _S], group.time, end + AFTERMATH),
         )
         episodes.append(episode)
     return episodes

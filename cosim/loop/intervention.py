@@ -4,7 +4,6 @@
 loop in `driving` treats both alike.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
@@ -220,22 +219,14 @@ class NoIntervention:
 
     def observe(self, world: Sumo, road: RoadFrame, before: GroupObservation) -> tuple[Snapshot, GroupObservation]:
         """The vehicles near the round after a step, and its groups."""
-        now = world.snapshot(road, self.round.vehicles, _half_gap(before))
+        del before
+        now = world.snapshot(road, self.round.vehicles)
         return now, GroupObservation.of(now, self.round.groups)
 
     def shown_to_policy(self, observation: GroupObservation, now: Snapshot) -> GroupObservation:
         """The observation as it is."""
         del now
         return observation
-
-
-def _half_gap(observation: GroupObservation) -> float:
-    """Distance [m] along the lane within which a vehicle between two group members is read, one step later.
-
-    It is half of the largest spacing between two members of a group, rounded up to 10 m, plus 10 m.
-    """
-    spacing = np.diff(np.sort(observation.state[..., _S], axis=1), axis=1).max()
-    return 10.0 * math.ceil(spacing / 20.0) + 10.0
 
 
 def _place(world: Sumo, road: RoadFrame, vehicle: str, s: float, d: float, heading: float, v: float) -> None:

@@ -27,7 +27,8 @@ class Round:
 
     They are driven for `driven_steps` at most and then watched for `watched_steps`. `driven_roles` are the roles that a
     policy drives, `lanes` are the lanes of a merge, `default_driver` ("sumo" or "recorded") moves all other vehicles.
-    Without `has_third_vehicle` vehicle 2 is removed at the take-over.
+    Without `has_third_vehicle` vehicle 2 is removed at the take-over. With `reads_all` all vehicles are read in every
+    step, not only those near to the groups.
     """
 
     groups: tuple[Group, ...]
@@ -39,6 +40,7 @@ class Round:
     lanes: MergeLanes | None = None
     has_third_vehicle: bool = True
     default_driver: str = "sumo"
+    reads_all: bool = False
 
     @property
     def vehicles(self) -> list[str]:

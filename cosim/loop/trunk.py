@@ -88,6 +88,7 @@ class Trunk:
             dt=scenario.step,
             lanes=self._running.lanes,
             default_driver="sumo" if self._running.recorded is None else "recorded",
+            reads_all=scenario.surroundings,
         )
 
     def leave_to_sumo(self, history: Sequence[Snapshot], this_round: Round) -> list[Episode]:

@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from cosim.process.worker_process import run_in_worker
 from cosim.runs.run_folder import next_folder, run_folder
 from cosim.runs.run_tables import read_tables
 from cosim.runs.summary import summary
+from cosim.runs.surroundings_table import read_surroundings
 from cosim.runs.user_policy import missing_attributes
 from cosim.spec.loading import load_scenario, override, with_recording
 from cosim.spec.scenario import Scenario, tag_of
@@ -40,6 +42,11 @@ class Run:
     """One row per episode, inference and ordered pair of vehicles: the inferred relation and its probability."""
     manifest: dict[str, Any]
     """Arguments, versions and hashes of the run."""
+
+    @cached_property
+    def surroundings(self) -> pd.DataFrame | None:
+        """One row per episode, instant and vehicle around the group; None where the scenario left it out."""
+        return read_surroundings(self.folder)
 
     @property
     def tables(self) -> dict[str, pd.DataFrame]:

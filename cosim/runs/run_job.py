@@ -14,6 +14,7 @@ from cosim.loop.closed_loop import run
 from cosim.runs import run_tables
 from cosim.runs.episode_figure import picture
 from cosim.runs.policy_loading import driver_of
+from cosim.runs.surroundings_table import write_surroundings
 from cosim.runs.traffic_survey import Survey, survey
 from cosim.spec.input_files import find_net, input_files, sha256
 from cosim.spec.scenario import LeftToSumo, Scenario, tag_of
@@ -80,6 +81,8 @@ def run_job(
         "graphs": run_tables.graphs_table(episodes),
     }
     run_tables.write_tables(folder, tables)
+    if scenario.surroundings:
+        write_surroundings(folder, outcome.episodes, [] if driver is None else outcome.left_to_sumo)
     (folder / "scenario.json").write_bytes(msgspec.json.format(msgspec.json.encode(scenario)) + b"\n")
     run_facts = {
         "driver": tag_of(scenario.policy),

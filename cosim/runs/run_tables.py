@@ -150,7 +150,7 @@ def manifest(arguments: Mapping[str, Any], inputs: Mapping[str, Path], folder: P
         "versions": {"python": platform.python_version(), **{name: version(name) for name in packages}},
         "machine": {"system": platform.system(), "processor": platform.machine(), "cores": os.cpu_count()},
         "inputs": {name: {"file": path.name, "sha256": sha256(path)} for name, path in inputs.items()},
-        "results": {f"{name}.parquet": sha256(folder / f"{name}.parquet") for name in TABLES},
+        "results": {path.name: sha256(path) for path in sorted(folder.glob("*.parquet"))},
     }
 
 

@@ -164,7 +164,9 @@ class Scenario(Spec, frozen=True, kw_only=True):
     at the take-over, and again every `reinfer_s` from the latest states if this is not 0. A simulation step lasts
     `step`, and the history before the take-over `history`. The policy drives for up to `horizon`; then the group is
     observed for `watch`, and the next groups are taken over after a further `rest`. A run ends after `episodes` groups,
-    of which at most `groups_at_once` are driven at the same time, or `time_limit` after the warm-up.
+    of which at most `groups_at_once` are driven at the same time, or `time_limit` after the warm-up. With
+    `surroundings` the run has a table of the vehicles around the groups. A batch leaves it out unless its `overrides`
+    say true.
     """
 
     description: str = ""
@@ -187,6 +189,7 @@ class Scenario(Spec, frozen=True, kw_only=True):
     episodes: Count = 30
     groups_at_once: Count = 6
     time_limit: Positive = 3600.0
+    surroundings: bool = True
 
     def __post_init__(self) -> None:
         if len(set(self.driven)) < len(self.driven):

@@ -102,7 +102,7 @@ def chunks(
     Groups are observed for AFTERMATH after the drive. Up to GROUPS_AT_ONCE groups that are far apart are driven
     together. Raises `InputError` if an intensity is out of range.
     """
-    scenario = replace(scenario, watch=AFTERMATH, groups_at_once=GROUPS_AT_ONCE)
+    scenario = replace(scenario, watch=AFTERMATH, groups_at_once=GROUPS_AT_ONCE, surroundings=False)
     cells = [Cell(kind, float(x)) for kind, intensities in sweeps.items() for x in intensities]
     shared = (Cell(), *(cell for cell in cells if cell.perturbation not in TRAFFIC_KINDS))
     found = []

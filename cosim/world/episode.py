@@ -9,8 +9,10 @@ from jaxtyping import Bool, Float
 from cosim.measures.surrogate_safety import net_gap, time_to_collision
 from cosim.world.groups import Group
 from cosim.world.snapshot import COLUMNS
+from cosim.world.surroundings import Surroundings
 from gri.core.graph import InteractionGraph
 
+AFTERMATH = 10.0  # [s] after the hand-back, the end of which a group is judged
 SUCCESS_HEADWAY = 2.0  # [m], the paper's δ_f (Sec. VI-E)
 
 
@@ -117,7 +119,8 @@ class Episode:
     drives; where SUMO drives the group they are the same ones, so that both are judged alike. `contacts` are those of
     all members, `lane_entries` are lane changes of outsiders until AFTERMATH after the hand-back, `intruders` those of
     them that ended the drive as cut_in. `broken_up_by` is final after the comparison with the counterpart
-    (`cosim.world.break_ups.compared`).
+    (`cosim.world.break_ups.compared`). `surroundings` are the vehicles around the group from the
+    take-over to AFTERMATH after the hand-back.
     """
 
     driver: str
@@ -139,6 +142,7 @@ class Episode:
     lane_entries: tuple[LaneEntry, ...] = ()
     intruders: tuple[LaneEntry, ...] = ()
     broken_up_by: BrokenUpBy = BrokenUpBy.NOBODY
+    surroundings: Surroundings | None = None
 
     def feature(self, name: str) -> Float[np.ndarray, "T 3"]:
         """One of COLUMNS."""

@@ -10,10 +10,12 @@ import pytest
 
 from cosim.batch.run_matrix import Cell
 from cosim.runs.run_tables import events_table, graphs_table, groups_table, steps_table
+from cosim.runs.surroundings_table import read_surroundings, write_surroundings
 from cosim.stress.estimates import counts, differences, estimates
 from cosim.world.episode import COLUMNS, Ending, Episode, EventKind
 from cosim.world.groups import Group
 from cosim.world.outcome_columns import with_outcome_columns
+from cosim.world.surroundings import Surroundings
 from gri.core.graph import FOLLOWING, EdgeType, InteractionGraph
 
 ROOT = Path(__file__).parents[2]
@@ -31,7 +33,7 @@ def named(before: str) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def run() -> dict[str, pd.DataFrame]:
+def run(tmp_path_factory) -> dict[str, pd.DataFrame]:
     time = np.round(np.arange(0, 2.01, 0.2), 10)
     state = np.zeros((len(time), 3, len(COLUMNS)))
     state[..., COLUMNS.index("s")] = 10.0 * time[:, None] + 20.0 * np.arange(3)
@@ -50,12 +52,15 @@ def run() -> dict[str, pd.DataFrame]:
         ending=Ending.HORIZON,
         end=1.6,
         events=(),
+        surroundings=Surroundings(("a",), np.zeros(1, int), np.ones(1), np.zeros((1, 7)), np.ones(1), np.ones(1)),
     )
     tables = {"steps": steps_table([episode]), "groups": groups_table([episode], CHAIN)}
+    write_surroundings(folder := tmp_path_factory.mktemp("run"), [episode], [])
+    tables["surroundings"] = read_surroundings(folder)
     return tables | {"events": events_table([episode]), "graphs": graphs_table([episode])}
 
 
-@pytest.mark.parametrize("name", ["steps", "groups", "events", "graphs"])
+@pytest.mark.parametrize("name", ["steps", "groups", "events", "graphs", "surroundings"])
 def test_the_columns_of_a_run(name, run):
     assert sorted(named(f"\n## {name}\n")) == sorted(run[name].columns)
 

@@ -1,0 +1,75 @@
+"""The vehicles around a group, from its take-over until some seconds after its hand-back."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from cosim.world.snapshot import COLUMNS, Snapshot
+
+REACH = 150.0  # [m] along the road, behind the rearmost and ahead of the foremost vehicle of a group
+_S = COLUMNS.index("s")
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """R observations of vehicles: one per instant and vehicle, in the order of time; the group's own are among them.
+
+    `state` has the features of COLUMNS, `vehicle` is the index of the vehicle's id in `ids`. `length` and `width` are
+    in m, `time` in s.
+    """
+
+    ids: tuple[str, ...]
+    vehicle: Int[np.ndarray, " R"]
+    time: Float[np.ndarray, " R"]
+    state: Float[np.ndarray, "R C"]
+    length: Float[np.ndarray, " R"]
+    width: Float[np.ndarray, " R"]
+
+    @classmethod
+    def of(cls, snapshots: Sequence[Snapshot]) -> "Surroundings":
+        """All vehicles of the snapshots."""
+        number: dict[str, int] = {}
+        vehicle, ids, codes = [], None, np.empty(0, dtype=np.int32)
+        for now in snapshots:
+            if now.ids != ids:  # in most steps no vehicle enters or leaves
+                ids = now.ids
+                codes = np.array([number.setdefault(name, len(number)) for name in ids], dtype=np.int32)
+            vehicle.append(codes)
+        count = [len(codes) for codes in vehicle]
+        states = [now.features(np.arange(n)[None])[0] for now, n in zip(snapshots, count, strict=True)]
+        return cls(
+            ids=tuple(number),
+            vehicle=np.concatenate(vehicle),
+            time=np.repeat([now.time for now in snapshots], count),
+            state=np.concatenate(states),
+            length=np.concatenate([now.length for now in snapshots]),
+            width=np.concatenate([now.width for now in snapshots]),
+        )
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def __getitem__(self, rows: Bool[np.ndarray, " R"] | Int[np.ndarray, " Q"]) -> "Surroundings":
+        """Some of the observations, with the ids as they are."""
+        arrays = ("vehicle", "time", "state", "length", "width")
+        return replace(self, **{name: getattr(self, name)[rows] for name in arrays})
+
+    def feature(self, name: str) -> Float[np.ndarray, " R"]:
+        """One of COLUMNS."""
+        return self.state[:, COLUMNS.index(name)]
+
+    def near(
+        self, time: Float[np.ndarray, " T"], s: Float[np.ndarray, "T N"], begin: float, end: float
+    ) -> "Surroundings":
+        """The observations from `begin` to `end` [s] within REACH of a group along the road, in any lane.
+
+        Args:
+            time: instants [s] of the group, increasing; they include those observed here.
+            s: positions [m] of its N vehicles at these instants.
+        """
+        at = np.searchsorted(time, self.time - 1e-6)
+        own = self.state[:, _S]
+        inside = (own >= s.min(axis=1)[at] - REACH) & (own <= s.max(axis=1)[at] + REACH)
+        return self[inside & (self.time >= begin - 1e-6) & (self.time <= end + 1e-6)]
