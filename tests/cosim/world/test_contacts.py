@@ -26,6 +26,12 @@ def test_a_contact_from_behind_names_the_outsider_first():
     assert contact.speed_difference == pytest.approx(9.0)
 
 
+def test_a_vehicle_that_passes_the_others_front_within_a_step_still_came_from_behind():
+    before = snapshot(0.8, a=(14.0, 0.0, 40.0), b=(20.0, 0.0), c=(60.0, 0.0))
+    now = snapshot(1.0, a=(22.0, 0.0, 40.0), b=(21.0, 0.0), c=(60.0, 0.0))
+    assert [contact.who for contact in found(before, now)] == ["0→1"]
+
+
 def test_only_the_first_moment_of_a_pair_counts_and_boxes_beside_each_other_do_not_touch():
     apart = snapshot(0.8, a=(20.0, LANE), b=(20.0, 0.0), c=(60.0, 0.0))
     near = snapshot(1.0, a=(20.0, 1.75), b=(21.0, 0.0), c=(60.0, 0.0))
