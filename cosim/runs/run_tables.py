@@ -14,10 +14,13 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from jaxtyping import Bool
 
+from cosim.measures.surrogate_safety import BRAKING, brakings
 from cosim.spec.input_files import sha256
 from cosim.world.episode import COLUMNS, Episode, EventKind
 from cosim.world.outcome_columns import outcome_columns
+from cosim.world.safety import safety_measures, track_of_role
 from gri.core.graph import EdgeType, pairs
 from gri.errors import InputError
 
@@ -72,13 +75,23 @@ def _group(number: int, episode: Episode, expected: Mapping[tuple[int, int], Edg
         "ending": episode.ending.value,
         **outcome_columns(episode),
         **_inferred_graph_columns(episode, expected),
-        "min_gap": float(np.where(episode.in_path, episode.gap, np.inf)[way].min()),
-        "min_ttc": float(episode.ttc[way].min()),
+        **safety_measures(episode),
         "mean_speed": float(episode.feature("v")[way][:, :2].mean()),
         "jerk_within_3": float((owned_jerk <= 3).mean()),
         "min_acceleration": float(episode.feature("a")[way][:, :2].min()),
+        **_brakings(episode, way, ""),
+        **_brakings(episode, episode.time > episode.end + 1e-6, "_after"),
         "min_acceleration_after": float(np.where(after, episode.feature("a")[:, :2], np.inf).min()),
         "hard_braking_after": sum(event.kind is EventKind.HARD_BRAKING for event in episode.events),
+    }
+
+
+def _brakings(episode: Episode, when: Bool[np.ndarray, " T"], suffix: str) -> dict[str, int]:
+    """How often a driven vehicle begins to brake harder than each threshold of BRAKING at these instants."""
+    tracks = [track_of_role(episode, role)[when & episode.valid[:, role]] for role in episode.judged_roles]
+    return {
+        f"brakings_{threshold:.0f}{suffix}": sum(brakings(track, threshold) for track in tracks if len(track.time))
+        for threshold in BRAKING
     }
 
 
