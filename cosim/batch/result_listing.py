@@ -2,6 +2,7 @@
 
 import difflib
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,6 @@ from cosim.batch import group_statistics
 from cosim.batch.group_statistics import BY_NAME, CELL, MEASURES, Measure
 from cosim.batch.store import BatchStore
 from cosim.measures.statistics import Estimate, PairedTest
-from cosim.world.outcome_columns import with_outcome_columns
 from gri.errors import InputError
 
 
@@ -33,16 +33,27 @@ def select_groups(store: BatchStore, where: Sequence[str]) -> pd.DataFrame:
 
 
 def groups_of(store: BatchStore) -> pd.DataFrame:
-    """The groups table of a batch in the order of its file, with one counterpart left to SUMO per start."""
+    """The groups of a batch in the order of its file, with one counterpart left to SUMO per start.
+
+    Raises `InputError` if no run has finished, or if an older version wrote the batch.
+    """
     order = [run["run"] for run in store.manifest()["runs"]]
     if not any((store.folder / "groups").glob("run=*")):
         raise InputError(
             f"{store.folder}: no run has finished; see the reasons with `cosim results {store.folder} --failures`"
         )
-    groups = with_outcome_columns(pd.read_parquet(store.folder / "groups"))
-    groups["run"] = pd.Categorical(groups["run"].astype(str), order, ordered=True)
-    groups = groups.sort_values(["run", "episode", "driver"], ignore_index=True)
-    return group_statistics.with_counterparts(groups.astype({"run": str}))
+    if not any((store.folder / "counterparts").glob("run=*")):
+        raise InputError(
+            f"{store.folder}: no table of counterparts; got a batch that an older version wrote, which mixed them into"
+            " the groups; run `cosim batch` again"
+        )
+    return group_statistics.with_counterparts(*(_ordered(store.folder / t, order) for t in ("groups", "counterparts")))
+
+
+def _ordered(table: Path, runs: Sequence[str]) -> pd.DataFrame:
+    rows = pd.read_parquet(table)
+    rows["run"] = pd.Categorical(rows["run"].astype(str), runs, ordered=True)
+    return rows.sort_values(["run", "episode"], ignore_index=True).astype({"run": str})
 
 
 def _filtered(table: pd.DataFrame, condition: str) -> pd.DataFrame:

@@ -71,7 +71,7 @@ def run(
         done = run_scenario(
             scenario, baseline, seed=seed, episodes=episodes, recording=recording, folder=out, progress=progress
         )
-    console.print(terminal_table(done.groups))
+    console.print(terminal_table(done.groups, done.counterparts))
     say(f"\n{time.monotonic() - began:.0f} s. Tables, manifest and picture: {done.folder}")
     next_command(f"cosim report {done.folder}" if baseline else f"cosim run {scenario} --baseline idm")
 

@@ -30,7 +30,7 @@ def report(
     known = int(tables["groups"]["episode"].max())
     if episode is not None and not 0 <= episode <= known:
         raise InputError(f"--episode: got {episode}, {folder} has the episodes 0 to {known}")
-    console.print(terminal_table(tables["groups"]))
+    console.print(terminal_table(tables["groups"], tables["counterparts"]))
     path = folder / ("episode.png" if episode is None else f"episode-{episode}.png")
     picture(tables, path, episode)
     say(f"\nPicture: {path}")

@@ -7,7 +7,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from cosim.world.episode import ARRIVED, INTERRUPTED, Ending
-from cosim.world.outcome_columns import headline, with_outcome_columns
+from cosim.world.outcome_columns import headline
 
 DRIVER_NAMES = {
     "gri": "GRI",
@@ -22,20 +22,19 @@ DRIVER_NAMES = {
 Row = tuple[str, Callable[[pd.DataFrame], str]]
 
 
-def summary(groups: pd.DataFrame) -> pd.DataFrame:
-    """The figures of a run as text: a column per driver, in the order of the `groups` table."""
-    groups = with_outcome_columns(groups)
-    drivers = list(dict.fromkeys(groups["driver"]))
-    parts = [groups[groups["driver"] == driver] for driver in drivers]
+def summary(groups: pd.DataFrame, counterparts: pd.DataFrame) -> pd.DataFrame:
+    """The figures of a run as text: a column for the driven groups, and one for their counterparts if there are any."""
+    parts = [part for part in (groups, counterparts) if len(part)]
     rows = [[value(part) for part in parts] for _, value in _ROWS]
-    return pd.DataFrame(rows, index=[label for label, _ in _ROWS], columns=[driver_name(driver) for driver in drivers])
+    columns = [driver_name(part["driver"].iloc[0]) for part in parts]
+    return pd.DataFrame(rows, index=[label for label, _ in _ROWS], columns=columns)
 
 
-def terminal_table(groups: pd.DataFrame) -> Table:
+def terminal_table(groups: pd.DataFrame, counterparts: pd.DataFrame) -> Table:
     """The summary as a table for the terminal."""
     table = Table(title="Driven groups, and the same groups without a policy", title_justify="left")
     table.add_column("")
-    content = summary(groups)
+    content = summary(groups, counterparts)
     for driver in content.columns:
         table.add_column(driver, justify="right")
     for label, values in zip(content.index, content.to_numpy(), strict=True):
