@@ -17,9 +17,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Bool
 import pyarrow as pa
 import pyarrow.parquet as pq
+from jaxtyping import Bool
 
 from cosim.measures.surrogate_safety import BRAKING, brakings
 from cosim.spec.input_files import sha256

@@ -23,7 +23,7 @@ from cosim.runs.run_tables import (
     write_manifest,
     write_tables,
 )
-from cosim.runs.summary import terminal_table
+from cosim.runs.summary import shortest_time, summary_records, summary_table
 from cosim.world.episode import COLUMNS, Ending, Episode, Event, EventKind
 from cosim.world.groups import Group
 from gri.core.graph import FOLLOWING, EdgeType, InteractionGraph
@@ -181,17 +181,27 @@ def test_next_folder_never_overwrites(tmp_path):
 
 
 def test_summary_counts_what_the_table_holds(tables):
-    table = terminal_table(tables["groups"], tables["counterparts"])
-    cells = {row: list(column) for row, column in zip(("label", "gri", "sumo"), _columns(table), strict=True)}
-    values = dict(zip(cells["label"], cells["gri"], strict=True))
+    table = summary_table(tables["groups"], tables["counterparts"])
+    labels, gri, sumo = (list(column) for column in zip(*table.lines, strict=True))
+    values = dict(zip(labels, gri, strict=True))
     assert values["groups"] == "1"
     assert values["completed without contact"] == values["  completed"] == values["  order kept"] == "1 of 1"
     assert values["inferred edges"] == "2→1 follow 100 %\n1→0 follow 100 %"
-    assert dict(zip(cells["label"], cells["sumo"], strict=True))["inferred edges"] == "-"
+    assert dict(zip(labels, sumo, strict=True))["inferred edges"] == "-"
 
 
-def _columns(table):
-    return [list(column.cells) for column in table.columns]
+def test_the_numbers_of_the_summary_are_those_of_the_table(tables):
+    groups = tables["groups"]
+    for record, (driver, part) in zip(summary_records(groups), groups.groupby("driver", sort=False), strict=True):
+        assert record["driver"] == driver
+        assert record["min_gap_min"] == part["min_gap"].min()
+        assert record["mean_speed_mean"] == part["mean_speed"].mean()
+        assert record["contact"] == part["contact"].sum()
+        assert record["ending_horizon"] == (part["ending"] == "horizon").sum()
+
+
+def test_long_times_to_collision_are_not_told_to_a_decimal():
+    assert [shortest_time(seconds) for seconds in (2343.8, float("inf"), 60.0, 0.04)] == ["> 60", "> 60", "60.0", "0.0"]
 
 
 @pytest.mark.parametrize("edges", [CHAIN, {}, {(0, 2): EdgeType.FOLLOW, (0, 1): EdgeType.FOLLOW}, None])
