@@ -51,7 +51,7 @@ def groups_of(store: BatchStore) -> pd.DataFrame:
 
 def _ordered(table: Path, runs: Sequence[str]) -> pd.DataFrame:
     rows = pd.read_parquet(table)
-    rows["run"] = pd.Categorical(rows["run"].astype(str), runs, ordered=True)
+    rows["run"] = pd.Categorical(rows["run"].astype(str), list(runs), ordered=True)
     return rows.sort_values(["run", "episode"], ignore_index=True).astype({"run": str})
 
 

@@ -41,7 +41,7 @@ class EpisodeFigure(Figure):
 def most_eventful(steps: pd.DataFrame) -> int:
     """Number of the driven episode whose leader's speed varies most."""
     leader = steps[~steps["counterpart"] & (steps["role"] == 2) & steps["during_drive"]]
-    return int(leader.groupby("episode")["v"].agg(np.ptp).idxmax())
+    return int(str(leader.groupby("episode")["v"].agg(np.ptp).idxmax()))
 
 
 def picture(tables: Mapping[str, pd.DataFrame], path: Path, episode: int | None = None) -> None:

@@ -13,6 +13,7 @@ from msgspec import Meta, field
 from cosim.spec.demand import Count, NonNegative, Positive, Spec, Traffic
 from cosim.spec.perturbations import CHANGES_DEMAND, Perturbation
 
+AFTERMATH = 10.0  # [s] after the hand-back of a group in which its contacts still count
 Seed = Annotated[int, Meta(ge=0, lt=2**31)]
 
 
@@ -184,7 +185,7 @@ class Scenario(Spec, frozen=True, kw_only=True):
     step: Positive = 0.2
     history: Positive = 5.0
     horizon: Positive = 8.0
-    watch: NonNegative = 10.0
+    watch: NonNegative = AFTERMATH
     rest: NonNegative = 2.0
     episodes: Count = 30
     groups_at_once: Count = 6

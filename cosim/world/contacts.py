@@ -5,7 +5,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from cosim.measures.collision_detection import overlapping_pairs
-from cosim.world.episode import AFTERMATH, CUTTER, OTHER, Contact
+from cosim.spec.scenario import AFTERMATH
+from cosim.world.episode import CUTTER, OTHER, Contact
 from cosim.world.snapshot import Snapshot, rows_of
 
 
