@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from cosim.measures.surrogate_safety import net_gap, time_to_collision
+from cosim.spec.scenario import AFTERMATH
 from cosim.world.groups import Group
 from cosim.world.snapshot import COLUMNS
 from cosim.world.surroundings import Surroundings

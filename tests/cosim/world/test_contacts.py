@@ -2,8 +2,9 @@
 
 import pytest
 
+from cosim.spec.scenario import AFTERMATH
 from cosim.world.contacts import contacts_of
-from cosim.world.episode import AFTERMATH, CUTTER, Contact, Ending, Outcome
+from cosim.world.episode import CUTTER, Contact, Ending, Outcome
 from tests.cosim.world.traffic import LANE, episode, snapshot
 
 NAMES = {"a": "0", "b": "1", "c": "2"}
