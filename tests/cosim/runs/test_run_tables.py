@@ -1,11 +1,14 @@
 """Tables, manifests and run folders."""
 
 import json
+from dataclasses import replace
+from io import StringIO
 
 import numpy as np
 import pandas as pd
 import pytest
 import torch
+from rich.console import Console
 
 from cosim.runs.episode_figure import most_eventful, picture
 from cosim.runs.run_folder import next_folder, run_folder
@@ -20,8 +23,8 @@ from cosim.runs.run_tables import (
     write_manifest,
     write_tables,
 )
-from cosim.runs.summary import terminal_table
-from cosim.world.episode import COLUMNS, Ending, Episode, Event, EventKind
+from cosim.runs.summary import summary, terminal_table
+from cosim.world.episode import COLUMNS, BrokenUpBy, Contact, Ending, Episode, Event, EventKind
 from cosim.world.groups import Group
 from gri.core.graph import FOLLOWING, EdgeType, InteractionGraph
 from gri.errors import InputError
@@ -161,6 +164,35 @@ def test_summary_counts_what_the_table_holds(tables):
     assert values["completed without contact"] == values["  completed"] == values["  order kept"] == "1 of 1"
     assert values["inferred edges"] == "2→1 follow 100 %\n1→0 follow 100 %"
     assert dict(zip(cells["label"], cells["sumo"], strict=True))["inferred edges"] == "-"
+
+
+def test_the_summary_shows_bounds_and_fits_80_columns():
+    """Two of seven completed without contact, one more at most; the widest cells that a run of GRI has."""
+    other = Contact(102.0, ("x", "a"), "other→0", 2.0, after_hand_back=False)
+    late = Contact(104.0, ("a", "b"), "0→1", 2.0, after_hand_back=True)
+    made = [
+        episode(),
+        episode(),
+        replace(episode(), contacts=(late,)),
+        replace(episode(ending=Ending.CONTACT), contacts=(other, late)),
+        replace(episode(ending=Ending.CUT_IN), broken_up_by=BrokenUpBy.UNKNOWN),
+        replace(episode(ending=Ending.LANE_LEFT), broken_up_by=BrokenUpBy.POLICY),
+        episode(ending=Ending.LANE_END),
+    ]
+    left = [replace(one, driver="constant_velocity", graph=None) for one in made]
+    groups = groups_table([*made, *left], CHAIN)
+    found = summary(groups)["GRI"]
+    assert found["completed without contact"] == "2 to 3 of 7"
+    assert found["  contact: in drive / after hand-back"] == "1 / 1"
+    assert found["  completed"] == "3 of 7"
+    assert found["broken up by policy/others/unknown"] == "1 / 0 / 1"
+    assert found["too late, lane end, or off the road"] == "1 lane end"
+    console = Console(width=80, file=StringIO())
+    console.print(terminal_table(groups))
+    lines = console.file.getvalue().splitlines()
+    assert max(map(len, lines)) <= 80
+    assert any("contact: in drive / after hand-back" in line for line in lines), "no label is wrapped"
+    assert len(lines) == len(found) + 6, "title, borders and head, and the second inferred edge"
 
 
 def _columns(table):
