@@ -11,14 +11,16 @@ from cosim.stress.plan import NOMINAL, TRAFFIC_KINDS
 from gri.table import markdown_table
 
 NOTES = """\
-Each value is over the n counted starts of its row. Infeasible starts do not count, nor do interrupted ones, in which
-other vehicles broke up the group; both are listed. Values are shares, medians over starts, or means (Δy, and the
-follower's braking and speed loss), with 95 % intervals in brackets: Wilson's for shares, bootstrap ones otherwise.
-"Contacts" lists who ran into whom by role: 0→1 means that vehicle 0 ran into vehicle 1; "other" is background traffic.
-docs/stress.md describes the measures and the perturbations.
+The outcome (completed without contact, contact, completed, order kept) is over all feasible starts. The other values
+are over the n counted starts of their row: feasible, and not broken up. Values are shares, medians over starts, or
+means (Δy, and the follower's braking and speed loss), with 95 % intervals in brackets: Wilson's for shares, bootstrap
+ones otherwise. "Contacts" lists which vehicle drove into which by role: 0→1 means that vehicle 0 drove into vehicle 1;
+"other" is background traffic. They count until 10 s after the hand-back. docs/stress.md describes the measures and the
+perturbations.
 """
 PAIRED = """\
-Differences from {first} on the starts that both policies drove to the end [95 % bootstrap interval]. p is that of
+Differences from {first} on the same starts: all feasible ones for the outcome, otherwise those that both policies drove
+to the end [95 % bootstrap interval]. p is that of
 McNemar's exact test for shares and of the sign-flip test otherwise; it is not corrected for the number of tests.
 """
 
