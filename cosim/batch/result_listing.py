@@ -1,7 +1,7 @@
 """Tables of the results of a batch for the terminal, as `cosim results` prints them."""
 
 import difflib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -50,7 +50,7 @@ def groups_of(store: BatchStore) -> pd.DataFrame:
     return group_statistics.with_counterparts(*(_ordered(store.folder / t, order) for t in ("groups", "counterparts")))
 
 
-def _ordered(table: Path, runs: Sequence[str]) -> pd.DataFrame:
+def _ordered(table: Path, runs: list[str]) -> pd.DataFrame:
     rows = pd.read_parquet(table)
     rows["run"] = pd.Categorical(rows["run"].astype(str), runs, ordered=True)
     return rows.sort_values(["run", "episode"], ignore_index=True).astype({"run": str})
@@ -87,14 +87,14 @@ def overview_table(groups: pd.DataFrame, by: str) -> Table:
     """Counts and measures with intervals, one row per combination of the comma-separated columns `by`."""
     columns = [_column(name.strip(), groups, "--by") for name in by.split(",")]
     shown = [name for name in columns if len(columns) == 1 or groups[name].nunique(dropna=False) > 1] or columns[:1]
-    table = Table(caption="95 % intervals: Wilson for shares, bootstrap otherwise", caption_justify="left")
-    for name in (*shown, "groups", "interrupted"):
+    table = Table(caption=f"95 % intervals. {group_statistics.cluster_note(groups)}", caption_justify="left")
+    for name in (*shown, "starts", "interrupted"):
         table.add_column(name, justify="left" if name in shown else "right")
     for measure in MEASURES:
         table.add_column(escape(_title(measure)), justify="right")
     for _, row in group_statistics.headline(groups, shown).iterrows():
         labels = ["" if pd.isna(row[name]) else f"{row[name]}" for name in shown]
-        counts = [str(row["groups"]), str(row["interrupted"])]
+        counts = [group_statistics.starts_text(row["starts"], row["groups"]), str(row["interrupted"])]
         table.add_row(*labels, *counts, *(interval(measure, row[measure.name]) for measure in MEASURES))
     return table
 
@@ -104,12 +104,13 @@ def _title(measure: Measure) -> str:
 
 
 def interval(measure: Measure, estimate: Estimate) -> str:
-    """An estimate with its interval; shares in percent."""
+    """An estimate with its upper bound and its interval, where it has them; shares in percent."""
     if not estimate.n:
         return "-"
     factor = 100 if measure.unit == "share" else 1
     value, low, high = (factor * number for number in (estimate.value, estimate.low, estimate.high))
-    return f"{value:.1f} ({low:.1f} to {high:.1f})"
+    shown = f"{value:.1f}" if not estimate.most > estimate.value else f"{value:.1f} up to {factor * estimate.most:.1f}"
+    return shown if np.isnan(low) else f"{shown} ({low:.1f} to {high:.1f})"
 
 
 def comparison_table(groups: pd.DataFrame, names: str) -> Table:
@@ -119,18 +120,34 @@ def comparison_table(groups: pd.DataFrame, names: str) -> Table:
     if len(chosen) != 2 or not set(chosen) <= set(known):
         raise InputError(f"--compare {names}: expected two of {', '.join(known)}, separated by a comma")
     a, b = chosen
-    starts = len(group_statistics.paired_starts(groups, a, b)[0])
-    table = Table(title=escape(f"{a} − {b} on the same {starts} starts"), title_justify="left")
+    pairs = group_statistics.paired_starts(groups, a, b, every_start=True)[0]
+    starts = group_statistics.starts_text(group_statistics.count_starts(pairs), len(pairs))
+    tests = group_statistics.differences(groups, a, b)
+    table = Table(
+        title=escape(f"{a} − {b} on the same starts: {starts}"),
+        title_justify="left",
+        caption=f"{correction_note(tests.values())} {group_statistics.cluster_note(pairs)}",
+        caption_justify="left",
+    )
     for title in ("", "difference (95 % interval)", "p"):
         table.add_column(title, justify="left" if not title else "right")
-    for name, test in group_statistics.differences(groups, a, b).items():
+    for name, test in tests.items():
         measure = BY_NAME[name]
         table.add_row(escape(_title(measure)), interval(measure, test.difference), p_value(test))
     return table
 
 
 def p_value(test: PairedTest) -> str:
-    return "-" if np.isnan(test.p) else "< 0.001" if test.p < 0.001 else f"{test.p:.3f}"
+    """The uncorrected p-value, with a star if the difference is significant after the correction."""
+    if np.isnan(test.p):
+        return "-"
+    return ("< 0.001" if test.p < 0.001 else f"{test.p:.3f}") + ("*" if test.significant else "")
+
+
+def correction_note(tests: Iterable[PairedTest]) -> str:
+    """What a star means, and how many tests were corrected."""
+    count = sum(bool(np.isfinite(test.p)) for test in tests)
+    return f"* p < 0.05 after Benjamini and Hochberg's correction for the {count} tests of this table."
 
 
 def runs_table(store: BatchStore, where: Sequence[str]) -> Table:

@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 import pandas as pd
 
+from cosim.batch.group_statistics import cluster_note
 from cosim.process.worker_process import run_in_worker
 from cosim.spec.input_files import checkpoint_path, find_net, sha256
 from cosim.spec.scenario import Merge, TrainedPolicy
@@ -108,7 +109,8 @@ def publish(chunks: Sequence[Chunk], rows: pd.DataFrame, folder: Path, facts: di
     drawn = figures.draw(tables["estimates"], kinds, folder / "figures", lane_changes=merges)
     shown = (tables["counts"], tables["estimates"], tables["differences"])
     report, facts_file = folder / "stress.md", folder / "stress.json"
-    report.write_text(stress_report(title, *shown, kinds, {path.stem for path in drawn}), encoding="utf-8")
+    text = stress_report(title, *shown, kinds, {path.stem for path in drawn}, cluster_note(rows))
+    report.write_text(text, encoding="utf-8")
     facts_file.write_text(json.dumps(facts | provenance(chunks), indent=1) + "\n")
     return [report, *(folder / f"{name}.parquet" for name in tables), *drawn, facts_file]
 
