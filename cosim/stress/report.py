@@ -33,14 +33,15 @@ def stress_report(
     kinds: list[str],
     figures: Collection[str] = (),
     clusters: str = "",
+    decided: str = "",
 ) -> str:
     """The report of a stress test as Markdown; the tables are those of `cosim.stress.estimates`.
 
     `kinds` are the perturbations in order; those among `figures` have a picture `figures/KIND.png` beside the report.
     Nominal rows stand in every table that has the same starts. `clusters` says what intervals and tests take as
-    independent.
+    independent, `decided` is the result of a sequential test.
     """
-    parts = [f"# {title}\n", NOTES.format(clusters=clusters)]
+    parts = [f"# {title}\n", *([f"**{decided}**\n"] if decided else []), NOTES.format(clusters=clusters)]
     for kind in kinds:
         shown = [kind] if kind in TRAFFIC_KINDS else [NOMINAL, kind]
         parts += [f"## {kind}\n", _introduction(kind)]
