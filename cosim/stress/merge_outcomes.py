@@ -49,7 +49,7 @@ def merge_table(
             same = rows["intensity"].isna() if intensity is None else rows["intensity"] == intensity
             cell = merge_outcomes(rows[(rows["perturbation"] == perturbation) & same]).set_index("policy")
             shares = 100 * cell[list(SHOWN)].div(cell["feasible"], axis=0)
-            entries = [_entry(*(float(shares.loc[policy, name]) for name in SHOWN)) for policy in policies]
+            entries = [_entry(*shares.loc[[policy]].to_numpy()[0].tolist()) for policy in policies]
             lines.append(f"| {condition} | {site} | " + " | ".join(entries) + " |")
     return "\n".join(lines)
 
