@@ -3,7 +3,7 @@
 import difflib
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -41,24 +41,25 @@ def checked(content: Any, kind: Any, path: Path | str, under: Sequence[str] = ()
 
     Raises `InputError`, which names `path`, the line and the field.
     """
-    refuse_unbounded_numbers(content, path, under)
+    for fields, value in unbounded_numbers(content):
+        raise located(path, (*under, *fields), f"got {value}, expected a finite number")
     try:
         return msgspec.convert(content, kind)
     except (msgspec.ValidationError, OverflowError, RecursionError) as error:
-        raise InputError(_explained(str(error), kind, path, under)) from error
+        raise InputError(_explained(str(error), content, kind, path, under)) from error
 
 
-def refuse_unbounded_numbers(content: Any, path: Path | str, under: Sequence[str] = ()) -> None:
-    """Raise `InputError` for a number that is not finite, which a range of a field need not exclude."""
-    waiting: list[tuple[Any, tuple[str, ...]]] = [(content, tuple(under))]
+def unbounded_numbers(content: Any) -> Iterator[tuple[tuple[str, ...], float]]:
+    """The numbers of plain content that are not finite, each after its fields; ranges of fields let nan through."""
+    waiting: list[tuple[tuple[str, ...], Any]] = [((), content)]
     while waiting:
-        value, fields = waiting.pop()
+        fields, value = waiting.pop()
         if isinstance(value, float) and not math.isfinite(value):
-            raise located(path, fields, f"got {value}, expected a finite number")
+            yield fields, value
         if isinstance(value, Mapping):
-            waiting += [(inside, (*fields, str(name))) for name, inside in value.items()]
+            waiting += [((*fields, str(name)), inside) for name, inside in value.items()]
         elif isinstance(value, list | tuple):
-            waiting += [(inside, (*fields, f"[{k}]")) for k, inside in enumerate(value)]
+            waiting += [((*fields, f"[{k}]"), inside) for k, inside in enumerate(value)]
 
 
 def located(path: Path | str, fields: Sequence[str], problem: str) -> InputError:
@@ -68,17 +69,23 @@ def located(path: Path | str, fields: Sequence[str], problem: str) -> InputError
     return InputError(f"{path}{f':{line}' if line else ''}: {f'field {name}: ' if name else ''}{problem}")
 
 
-def _explained(message: str, kind: Any, path: Path | str, under: Sequence[str]) -> str:
+def _explained(message: str, content: Any, kind: Any, path: Path | str, under: Sequence[str]) -> str:
     """msgspec's message as `file:line: field name: what is wrong; what to do`."""
     found = re.search(r" - at `(?:key in )?\$\.?([^`]*)`", message)
-    fields = [*under, *(re.split(r"\.|(?=\[)", found[1]) if found and found[1] else [])]
+    inside = [*(re.split(r"\.|(?=\[)", found[1]) if found and found[1] else [])]
+    fields = [*under, *inside]
     unknown = re.search(r"unknown field `([^`]*)`", message)
     missing = re.search(r"missing required field `([^`]*)`", message)
     problem, hint = " ".join(message.split(" - at `")[0].split()), "correct it"
+    if re.match(r"Expected `\w+` (of length )?[<>]", problem):
+        problem, hint = f"{problem}, got {_value_at(content, inside)!r}", "give a value in this range"
     if "expected `str`, got `int`" in problem.lower():
         hint = 'text that looks like a number needs quotes, such as "12"'
     if "expected `bool`" in problem.lower():
         hint = "write true or false"
+    if re.match(r"Invalid (enum )?value", problem) and (known := _known_values(kind, inside)):
+        close = difflib.get_close_matches(str(_value_at(content, inside)), known, n=1)
+        hint = f"did you mean {close[0]!r}?" if close else f"expected one of {', '.join(known)}"
     if len(problem) > LONGEST_MESSAGE:
         problem = f"{problem[:LONGEST_MESSAGE]}…"
     if unknown:
@@ -88,10 +95,37 @@ def _explained(message: str, kind: Any, path: Path | str, under: Sequence[str]) 
     return str(located(path, fields, f"{problem[:1].lower()}{problem[1:]}; {hint}"))
 
 
+def _value_at(content: Any, fields: Sequence[str]) -> Any:
+    """The part of plain content that a list of names such as ["policy", "kind"] or ["edges", "[0]"] leads to."""
+    for name in fields:
+        index = name.strip("[]")
+        if isinstance(content, list | tuple) and index.isdecimal() and int(index) < len(content):
+            content = content[int(index)]
+        else:
+            content = content.get(name) if isinstance(content, Mapping) else None
+    return content
+
+
+def _known_values(kind: Any, fields: Sequence[str]) -> list[str]:
+    """The words that a field of that name may have; of all fields with this name where several types have one."""
+    name = next((field for field in reversed(fields) if not field.startswith("[")), "")
+    known: dict[str, None] = {}
+    waiting = [definition.get("properties", {}).get(name, {}) for definition in _definitions(kind)]
+    while waiting:
+        schema = waiting.pop()
+        known |= {str(value): None for value in schema.get("enum", ())}
+        waiting += [*schema.get("anyOf", ()), *([schema["items"]] if isinstance(schema.get("items"), dict) else ())]
+    return list(known)
+
+
+def _definitions(kind: Any) -> list[dict[str, Any]]:
+    """The JSON schemas of all types that a value of that kind may contain."""
+    return list(msgspec.json.schema(kind).get("$defs", {}).values())
+
+
 def _field_names(kind: Any) -> list[str]:
     """All field names that a value of that kind may have, at any depth."""
-    definitions = msgspec.json.schema(kind).get("$defs", {}).values()
-    return sorted({name for definition in definitions for name in definition.get("properties", {})})
+    return sorted({name for definition in _definitions(kind) for name in definition.get("properties", {})})
 
 
 def _line(fields: list[str], path: Path) -> int | None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from cosim.commands.arguments import MaxWorkOption
 from gri.errors import InputError
 from gri.terminal import ProgressDisplay, console, next_command, notice, say
 
@@ -29,6 +30,7 @@ def batch(
     address: Annotated[str | None, typer.Option(help="Address of the Ray cluster; default: one started here.")] = None,
     only: Annotated[list[str] | None, typer.Option(help="Run only the run with this id; repeatable.")] = None,
     retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Run again what has failed.")] = False,
+    max_work: MaxWorkOption = None,
 ) -> None:
     """Run all runs of a batch file that are not finished.
 
@@ -37,7 +39,7 @@ def batch(
     from cosim.batch.run_matrix import expand, load_batch
 
     spec, path = load_batch(file)
-    runs = _chosen(expand(spec, path), only or [])
+    runs = _chosen(expand(spec, path, max_work), only or [])
     if dry_run:
         for run in runs:
             say(f"{run.id}  {run.cell}")

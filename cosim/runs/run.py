@@ -123,7 +123,8 @@ def run(
         >>> done.groups[["driver", "ending", "min_gap"]]
         >>> done.figure()
     """
-    chosen = scenario if isinstance(scenario, Scenario) else load_scenario(str(scenario))
+    allowed = (overrides or {}).get("max_work")
+    chosen = scenario if isinstance(scenario, Scenario) else load_scenario(str(scenario), max_work=allowed)
     spec, own = _policy(policy)
     changes = {"seed": seed, "episodes": episodes, "policy": spec, **(overrides or {})}
     chosen = override(chosen, {name: value for name, value in changes.items() if value is not None})

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Column, Table
 
-from gri.terminal import ProgressDisplay, console, next_command, say
+from gri.terminal import ProgressDisplay, console, finite, next_command, say
 
 if TYPE_CHECKING:
     from gri.data.ngsim.defects import Quality
@@ -55,7 +55,7 @@ def scenes(
     site: SiteOption = None,
     window: Annotated[int, typer.Option(help="Width of the smoothing filter in frames of 0.1 s; odd.")] = WINDOW,
     order: Annotated[int, typer.Option(help="Degree of the polynomial of the filter.")] = ORDER,
-    spacing: Annotated[float, typer.Option(help="Greatest distance to the leader [m].")] = SPACING,
+    spacing: Annotated[float, typer.Option(callback=finite, help="Greatest distance to the leader [m].")] = SPACING,
     training_stride: Annotated[
         int, typer.Option(help="Steps of 0.2 s between training scenes of the same three vehicles.")
     ] = TRAINING_STRIDE,
