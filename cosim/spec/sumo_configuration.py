@@ -145,8 +145,8 @@ def read_configuration(path: Path) -> dict[str, str]:
         value = element.get("value", element.get("v"))
         if value is not None:
             name = _SHORT_NAMES.get(element.tag, element.tag)
-            is_file = name in (*FILE_LISTS, *_OTHER_FILES)
-            options[name] = ",".join(_beside(path, part) for part in value.split(",")) if is_file else value
+            names_files = name in (*FILE_LISTS, *_OTHER_FILES)
+            options[name] = ",".join(_beside(path, part) for part in value.split(",")) if names_files else value
     return options
 
 
