@@ -15,7 +15,7 @@ from cosim.runs.run_folder import next_folder, run_folder
 from cosim.runs.run_tables import read_tables
 from cosim.runs.summary import summary
 from cosim.runs.surroundings_table import read_surroundings
-from cosim.runs.user_policy import missing_attributes
+from cosim.runs.user_policy import unfit
 from cosim.spec.loading import load_scenario, override, with_recording
 from cosim.spec.scenario import Scenario, tag_of
 from gri.errors import InputError
@@ -176,8 +176,8 @@ def _policy(policy: object) -> tuple[dict[str, Any] | None, object | None]:
             f"policy: got {text!r}, expected one of {', '.join(_BASELINES)}, a checkpoint (a path, or one of"
             f" {', '.join(checkpoints())}), or 'file.py:Name'"
         )
-    if missing := missing_attributes(policy):
-        raise InputError(f"policy: got a {type(policy).__name__} without {', '.join(missing)}; see gri.Policy")
+    if problem := unfit(policy):
+        raise InputError(f"policy: got {problem}; see gri.Policy")
     return {"kind": "python", "object": f"{type(policy).__module__}:{type(policy).__name__}"}, policy
 
 

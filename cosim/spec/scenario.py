@@ -34,6 +34,7 @@ Seed = Annotated[int, Meta(ge=0, lt=2**31)]  # SUMO's seeds have 31 bits
 Step = Annotated[float, Meta(ge=0.001, le=10)]  # [s]; SUMO counts in milliseconds
 
 
+DECISION_LIMIT = 30.0  # [s] of real time for one decision of a policy of the user
 MAX_WORK = 1.0  # times the usual limits
 MOST_AT_ONCE = 5_000  # vehicles in the study area whose history is kept, at most
 
@@ -113,12 +114,16 @@ class LeftToSumo(Spec, frozen=True, kw_only=True, tag_field="kind", tag="sumo"):
 class UserPolicy(Spec, frozen=True, kw_only=True, tag_field="kind", tag="python"):
     """A policy of the user: `object` is "file.py:Name" or "package.module:Name".
 
-    It is called with the time step dt [s] and the `settings`, and must return a `gri.core.policy.Policy`.
-    docs/tutorial.md has an example.
+    This runs code: the file is imported when a run starts. Use only files that you trust. A file outside the folder of
+    the scenario or batch, and a module, need the option `--allow-code`.
+
+    The object is called with the time step dt [s] and the `settings`, and must return a `gri.core.policy.Policy`, which
+    may take `decision_limit` [s] for one decision. docs/tutorial.md has an example.
     """
 
     object: Annotated[str, Meta(pattern=r"^[^:]+:[A-Za-z_][A-Za-z0-9_]*$", max_length=1000)]
     settings: dict[str, Any] = field(default_factory=dict)
+    decision_limit: Annotated[float, Meta(ge=0.01, le=3600)] = DECISION_LIMIT
 
 
 class SimulatedTraffic(Spec, frozen=True, kw_only=True, tag_field="kind", tag="sumo"):
