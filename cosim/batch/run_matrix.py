@@ -14,7 +14,7 @@ from typing import Any
 import msgspec
 
 from cosim.batch.spec import NOMINAL, PLAIN, Batch, ExtraRun, Sweep
-from cosim.spec.input_files import input_files, sha256
+from cosim.spec.input_files import input_files, refuse_foreign_code, sha256
 from cosim.spec.loading import files_beside, find_file, load_scenario, traffic_content
 from cosim.spec.scenario import MAX_WORK, Driver, Scenario, tag_of
 from gri.config import checked, located, parsed, typed
@@ -80,6 +80,14 @@ def _files_beside(content: dict[str, Any], path: Path) -> dict[str, Any]:
                 for name, entry in entries.items()
             }
     return result
+
+
+def refuse_foreign_code_of(batch: Batch, path: Path, allowed: bool) -> None:
+    """Raise `InputError` where the batch, or one of its scenarios, names code outside its own folder."""
+    refuse_foreign_code(msgspec.to_builtins(batch), path, allowed)
+    for name in batch.scenarios:
+        file = find_file(name, "scenarios", "scenario", beside=path)
+        refuse_foreign_code(files_beside(parsed(file), file), file, allowed)
 
 
 def expand(batch: Batch, path: Path, max_work: float | None = None) -> tuple[Run, ...]:

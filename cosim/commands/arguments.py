@@ -24,3 +24,7 @@ MaxWorkOption = Annotated[
         help="Allow this many times the usual limits of steps, vehicles and memory; default: the scenario's max_work.",
     ),
 ]
+AllowCodeOption = Annotated[
+    bool,
+    typer.Option("--allow-code", help="Run policies (kind: python) whose code is outside the folder of the file."),
+]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from cosim.commands.arguments import MaxWorkOption
+from cosim.commands.arguments import AllowCodeOption, MaxWorkOption
 from gri.errors import InputError
 from gri.terminal import ProgressDisplay, console, next_command, notice, say
 
@@ -31,12 +31,13 @@ def batch(
     only: Annotated[list[str] | None, typer.Option(help="Run only the run with this id; repeatable.")] = None,
     retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Run again what has failed.")] = False,
     max_work: MaxWorkOption = None,
+    allow_code: AllowCodeOption = False,
 ) -> None:
     """Run all runs of a batch file that are not finished.
 
     The same command continues a batch that was stopped.
     """
-    from cosim.batch.run_matrix import expand, load_batch
+    from cosim.batch.run_matrix import expand, load_batch, refuse_foreign_code_of
 
     spec, path = load_batch(file)
     runs = _chosen(expand(spec, path, max_work), only or [])
@@ -45,6 +46,7 @@ def batch(
             say(f"{run.id}  {run.cell}")
         say(f"{len(runs)} runs, none started.")
         return next_command(f"cosim batch {file}")
+    refuse_foreign_code_of(spec, path, allow_code)
     from cosim.batch.execute import execute
     from cosim.batch.store import BatchStore
     from cosim.process.worker_process import WorkerDeath, run_in_worker

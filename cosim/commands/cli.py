@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import msgspec
 import typer
 
-from cosim.commands.arguments import MaxWorkOption, ScenarioArgument, SeedOption
+from cosim.commands.arguments import AllowCodeOption, MaxWorkOption, ScenarioArgument, SeedOption
 from cosim.commands.batch import batch, results
 from cosim.commands.new import new
 from cosim.commands.scenes import scenes
@@ -54,6 +54,7 @@ def run(
     recording: Annotated[Path | None, typer.Option(help="The NGSIM file that the scenario replays.")] = None,
     out: Annotated[Path | None, typer.Option(help="Run folder to write; default: a new one in runs/.")] = None,
     max_work: MaxWorkOption = None,
+    allow_code: AllowCodeOption = False,
 ) -> None:
     """Take groups out of live traffic, drive them, hand them back.
 
@@ -80,10 +81,14 @@ def run(
             recording=recording,
             overrides={} if max_work is None else {"max_work": max_work},
             folder=out,
+            allow_code=allow_code,
             progress=progress,
         )
     console.print(terminal_table(done.groups))
     say(f"\n{time.monotonic() - began:.0f} s. Tables, manifest and picture: {done.folder}")
+    if failures := done.policy_failures:
+        more = f" (and {len(failures) - 1} more groups)" if len(failures) > 1 else ""
+        fail(f"the policy failed; its groups count as not completed. {failures[0]}{more}", 1)
     next_command(f"cosim report {done.folder}" if baseline else f"cosim run {scenario} --baseline idm")
 
 

@@ -8,6 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pandas as pd
 
 from cosim.process.worker_process import run_in_worker
@@ -16,8 +17,9 @@ from cosim.runs.run_tables import read_tables
 from cosim.runs.summary import summary
 from cosim.runs.surroundings_table import read_surroundings
 from cosim.runs.user_policy import unfit
-from cosim.spec.loading import load_scenario, override, with_recording
-from cosim.spec.scenario import Scenario, tag_of
+from cosim.spec.input_files import refuse_foreign_code
+from cosim.spec.loading import find_file, load_scenario, override, with_recording
+from cosim.spec.scenario import Scenario, UserPolicy, tag_of
 from gri.errors import InputError
 from gri.resources import checkpoints
 
@@ -52,6 +54,16 @@ class Run:
     def tables(self) -> dict[str, pd.DataFrame]:
         """The four tables by name."""
         return {name: getattr(self, name) for name in ("steps", "groups", "events", "graphs")}
+
+    @property
+    def policy_failures(self) -> list[str]:
+        """One line per group for which the policy failed: the policy, the group, the time, and what was wrong."""
+        failed = self.events[self.events["kind"] == "policy_failed"].to_dict("records")
+        return [
+            f"{event['driver']}: group {str(event['vehicles']).replace(' ', ', ')} at t = {event['time']:.1f} s:"
+            f" {event['detail']}"
+            for event in failed
+        ]
 
     def summary(self) -> pd.DataFrame:
         """The table that `cosim run` prints: a row per figure, a column per driver, all cells as text."""
@@ -94,6 +106,7 @@ def run(
     recording: str | Path | None = None,
     overrides: Mapping[str, Any] | None = None,
     folder: str | Path | None = None,
+    allow_code: bool = False,
     progress: Progress | None = None,
 ) -> Run:
     """Run a scenario in closed loop and return its tables.
@@ -111,6 +124,8 @@ def run(
         recording: the NGSIM file to replay, for scenarios with a recorded background.
         overrides: other top-level fields of the scenario to replace, such as `{"horizon": 4.0}`.
         folder: where to write the run; by default a new folder in `runs/`.
+        allow_code: whether to run a policy (`kind: python`) that a scenario file names outside its own folder. Code
+            that `policy` names runs in any case.
         progress: called with (stage, done, total) while the run goes on; `None` shows nothing.
 
     Raises:
@@ -126,6 +141,9 @@ def run(
     allowed = (overrides or {}).get("max_work")
     chosen = scenario if isinstance(scenario, Scenario) else load_scenario(str(scenario), max_work=allowed)
     spec, own = _policy(policy)
+    if spec is None and isinstance(chosen.policy, UserPolicy) and not isinstance(scenario, Scenario):
+        file = find_file(str(scenario), "scenarios", "scenario")
+        refuse_foreign_code(msgspec.to_builtins(chosen.policy), file, allow_code)
     changes = {"seed": seed, "episodes": episodes, "policy": spec, **(overrides or {})}
     chosen = override(chosen, {name: value for name, value in changes.items() if value is not None})
     if recording is not None:

@@ -5,6 +5,7 @@ import hashlib
 import sys
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 from xml.parsers import expat
 
 from cosim.spec.scenario import Replay, Scenario, TrainedPolicy, UserPolicy
@@ -94,6 +95,31 @@ def source_path(policy: UserPolicy) -> Path:
     if not is_file(path):
         raise InputError(f"policy.object: no file {place!r} (looked in {Path.cwd()}); give the path of a Python file")
     return path
+
+
+def refuse_foreign_code(content: Any, file: Path, allowed: bool) -> None:
+    """Raise `InputError` where a file names code that is not in its own folder and is not `allowed`.
+
+    `content` is plain: a scenario, a batch, or a part of one. Everybody who runs such a file runs the code that it
+    names, and looks at the file itself at most.
+    """
+    waiting = [] if allowed else [content]
+    while waiting:
+        value = waiting.pop()
+        if isinstance(value, list | tuple):
+            waiting += value
+        elif isinstance(value, dict):
+            waiting += value.values()
+            named = value.get("object") if value.get("kind") == UserPolicy.__struct_config__.tag else None
+            if isinstance(named, str) and not _is_inside(named.rpartition(":")[0], file.parent):
+                raise InputError(
+                    f"{file}: policy.object names code outside the folder of this file ({named}), which would run here;"
+                    " add --allow-code if you trust it"
+                )
+
+
+def _is_inside(place: str, folder: Path) -> bool:
+    return place.endswith(".py") and Path(place).resolve().is_relative_to(folder.resolve())
 
 
 def _module_file(name: str) -> Path | None:
