@@ -86,7 +86,7 @@ def test_a_module_that_is_installed(scenario):
         ("mine.py:Timegap", {}, "mine.py has no class or function 'Timegap'"),
         ("mine.py:TimeGap", {"gab": 2.0}, r"TimeGap\(dt=0.2, ...\) failed: TypeError: .*gab"),
         ("mine.py:broken", {}, "failed: ZeroDivisionError"),
-        ("mine.py:nothing", {}, "made something without dynamics, dt, history_steps, begin, act"),
+        ("mine.py:nothing", {}, "made a object without dynamics, dt, history_steps, begin, act"),
     ],
 )
 def test_mistakes_say_what_is_missing(scenario, name, settings, message):
