@@ -1,21 +1,24 @@
 """What the commands `gri` and `cosim` show: results on standard output, progress and errors on standard error.
 
-`say`, `next_command` and `fail` write text; `ProgressDisplay` shows how far long work is.
+`say`, `next_command` and `fail` write text; `show_tables` writes tables in the format that a person asks for;
+`ProgressDisplay` shows how far long work is.
 """
 
 import math
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
-from typing import Any, NoReturn
+from typing import Annotated, Any, NoReturn
 
+import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
 from gri.errors import InputError
+from gri.table import WRITERS, Table, TableFormat, terminal_text
 
 console = Console(highlight=False)
 errors = Console(stderr=True, highlight=False)
@@ -33,6 +36,30 @@ def say(text: str) -> None:
 def next_command(command: str) -> None:
     """Show the command that a person would type next."""
     console.print(Text.assemble("Next: ", (command, "bold")), soft_wrap=True)
+
+
+FormatOption = Annotated[
+    TableFormat,
+    typer.Option("--format", help="How to print: a table for reading, Markdown, or all numbers as csv or json."),
+]
+
+
+def show_tables(tables: Sequence[Table], kind: TableFormat, *remarks: str, then: str = "") -> None:
+    """Write tables, remarks about them, and the command that a person would type next.
+
+    In Markdown, CSV and JSON standard output holds the tables alone; the remarks go to standard error.
+    """
+    if kind == "table":
+        for k, table in enumerate(tables):
+            say(("\n" if k else "") + terminal_text(table, console.width))
+        for remark in remarks:
+            say(remark)
+        if then:
+            next_command(then)
+        return
+    sys.stdout.write(WRITERS[kind](tables))
+    for remark in remarks:
+        notice(remark)
 
 
 def notice(text: str) -> None:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from cosim.batch.spec import LEFT_TO_SUMO, NOMINAL
 from cosim.measures.statistics import (
     Estimate,
     PairedTest,
@@ -19,12 +20,11 @@ from cosim.measures.statistics import (
     paired_difference,
     wilson,
 )
-from cosim.world.episode import INTERRUPTED, LEFT_ALONE
+from cosim.world.episode import INTERRUPTED
 
 CELL = ("scenario", "policy", "perturbation", "intensity", "variant", "seed")
 START = ("scenario", "variant", "seed", "vehicle_0", "vehicle_1", "vehicle_2", "takeover_time")
 SHORT_TTC = 1.5  # [s]; a shorter time to collision is a conflict (van der Horst and Hogema 1993)
-LEFT_TO_SUMO = "left to SUMO"  # name of the policy of the counterparts
 
 
 @dataclass(frozen=True)
@@ -89,20 +89,10 @@ MEASURES = (
 BY_NAME = {measure.name: measure for measure in MEASURES}
 
 
-def driven_groups(groups: pd.DataFrame) -> pd.DataFrame:
-    """The groups that the policies of the batch drove, without the counterparts that were left to SUMO.
-
-    If a policy of the batch itself leaves all groups to SUMO, they count as driven.
-    """
-    left_alone = groups["driver"].isin(LEFT_ALONE)
-    return groups[~left_alone | left_alone.groupby(groups["run"]).transform("all")]
-
-
-def with_counterparts(groups: pd.DataFrame) -> pd.DataFrame:
-    """The driven groups, and one counterpart per start under the policy name LEFT_TO_SUMO."""
-    own = driven_groups(groups)
-    left = groups.drop(index=own.index).assign(policy=LEFT_TO_SUMO, perturbation="nominal", intensity=np.nan)
-    return pd.concat([own, left.drop_duplicates(list(START))], ignore_index=True)
+def with_counterparts(groups: pd.DataFrame, counterparts: pd.DataFrame) -> pd.DataFrame:
+    """The driven groups, and one counterpart per start; counterparts have the policy name LEFT_TO_SUMO."""
+    once = counterparts.drop_duplicates([*START, "perturbation", "intensity"])
+    return pd.concat([groups, once], ignore_index=True) if len(once) else groups
 
 
 def uninterrupted(groups: pd.DataFrame) -> pd.DataFrame:
@@ -130,13 +120,24 @@ def paired_starts(
 
     With `every_start` also those in which a group broke up.
     """
-    on = [*START, "perturbation", "intensity"]
-    complete = groups if every_start else uninterrupted(groups)
-    first, second = (complete[complete["policy"] == policy].drop_duplicates(on) for policy in (a, b))
-    if LEFT_TO_SUMO in (a, b):
-        on = list(START)  # counterparts are never perturbed
+    complete = _with_cell(groups if every_start else uninterrupted(groups), counterparts=LEFT_TO_SUMO in (a, b))
+    on = [*START, "_cell"]
+    cell = [*START, "perturbation", "intensity"]
+    first, second = (complete[complete["policy"] == policy].drop_duplicates(cell) for policy in (a, b))
     both = first.assign(_a=first.index).merge(second.assign(_b=second.index)[[*on, "_b"]], on=on)
     return first.loc[both["_a"]], second.loc[both["_b"]]
+
+
+def _with_cell(groups: pd.DataFrame, *, counterparts: bool) -> pd.DataFrame:
+    """The groups with `_cell`, in which two rows of one start can be compared: perturbation and intensity.
+
+    A counterpart shares the traffic of its group, perturbed or not, but nothing else disturbs it. With `counterparts`,
+    groups whose own traffic is not perturbed are therefore in the nominal cell.
+    """
+    cell = groups["perturbation"] + groups["intensity"].map(" {:g}".format)
+    if counterparts:
+        cell = cell.where(cell.isin(cell[groups["policy"] == LEFT_TO_SUMO]), f"{NOMINAL} nan")
+    return groups.assign(_cell=cell)
 
 
 def differences(groups: pd.DataFrame, a: str, b: str) -> dict[str, PairedTest]:

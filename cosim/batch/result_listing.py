@@ -1,20 +1,19 @@
-"""Tables of the results of a batch for the terminal, as `cosim results` prints them."""
+"""Tables of the results of a batch, as `cosim results` prints them."""
 
 import difflib
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from rich.markup import escape
-from rich.table import Table
 
 from cosim.batch import group_statistics
 from cosim.batch.group_statistics import BY_NAME, CELL, MEASURES, Measure
 from cosim.batch.store import BatchStore
 from cosim.measures.statistics import Estimate, PairedTest
-from cosim.world.outcome_columns import with_outcome_columns
 from gri.errors import InputError
+from gri.table import NBSP, Table
 
 
 def select_groups(store: BatchStore, where: Sequence[str]) -> pd.DataFrame:
@@ -33,16 +32,27 @@ def select_groups(store: BatchStore, where: Sequence[str]) -> pd.DataFrame:
 
 
 def groups_of(store: BatchStore) -> pd.DataFrame:
-    """The groups table of a batch in the order of its file, with one counterpart left to SUMO per start."""
+    """The groups of a batch in the order of its file, with one counterpart left to SUMO per start.
+
+    Raises `InputError` if no run has finished, or if an older version wrote the batch.
+    """
     order = [run["run"] for run in store.manifest()["runs"]]
     if not any((store.folder / "groups").glob("run=*")):
         raise InputError(
             f"{store.folder}: no run has finished; see the reasons with `cosim results {store.folder} --failures`"
         )
-    groups = with_outcome_columns(pd.read_parquet(store.folder / "groups"))
-    groups["run"] = pd.Categorical(groups["run"].astype(str), order, ordered=True)
-    groups = groups.sort_values(["run", "episode", "driver"], ignore_index=True)
-    return group_statistics.with_counterparts(groups.astype({"run": str}))
+    if not any((store.folder / "counterparts").glob("run=*")):
+        raise InputError(
+            f"{store.folder}: no table of counterparts; got a batch that an older version wrote, which mixed them into"
+            " the groups; run `cosim batch` again"
+        )
+    return group_statistics.with_counterparts(*(_ordered(store.folder / t, order) for t in ("groups", "counterparts")))
+
+
+def _ordered(table: Path, runs: Sequence[str]) -> pd.DataFrame:
+    rows = pd.read_parquet(table)
+    rows["run"] = pd.Categorical(rows["run"].astype(str), list(runs), ordered=True)
+    return rows.sort_values(["run", "episode"], ignore_index=True).astype({"run": str})
 
 
 def _filtered(table: pd.DataFrame, condition: str) -> pd.DataFrame:
@@ -76,16 +86,31 @@ def overview_table(groups: pd.DataFrame, by: str) -> Table:
     """Counts and measures with intervals, one row per combination of the comma-separated columns `by`."""
     columns = [_column(name.strip(), groups, "--by") for name in by.split(",")]
     shown = [name for name in columns if len(columns) == 1 or groups[name].nunique(dropna=False) > 1] or columns[:1]
-    table = Table(caption="95 % intervals: Wilson for shares, bootstrap otherwise", caption_justify="left")
-    for name in (*shown, "groups", "interrupted"):
-        table.add_column(name, justify="left" if name in shown else "right")
-    for measure in MEASURES:
-        table.add_column(escape(_title(measure)), justify="right")
-    for _, row in group_statistics.headline(groups, shown).iterrows():
+    lines, records = [], []
+    for _, row in _in_order(group_statistics.headline(groups, shown), shown).iterrows():
         labels = ["" if pd.isna(row[name]) else f"{row[name]}" for name in shown]
         counts = [str(row["groups"]), str(row["interrupted"])]
-        table.add_row(*labels, *counts, *(interval(measure, row[measure.name]) for measure in MEASURES))
-    return table
+        lines.append([*labels, *counts, *(interval(measure, row[measure.name]) for measure in MEASURES)])
+        estimates = {name: value for measure in MEASURES for name, value in _record(measure, row[measure.name]).items()}
+        records.append({name: row[name] for name in (*shown, "groups", "interrupted")} | estimates)
+    return Table(
+        "results",
+        [*shown, "groups", "interrupted", *map(_title, MEASURES)],
+        lines,
+        records,
+        note="95 % intervals: Wilson for shares, bootstrap otherwise",
+        labels=len(shown),
+    )
+
+
+def _in_order(table: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
+    """The rows ordered by the columns, and in each column by first appearance."""
+    return table.sort_values(list(columns), key=lambda values: pd.Series(values.factorize(use_na_sentinel=False)[0]))
+
+
+def _record(measure: Measure, estimate: Estimate) -> dict[str, float]:
+    """The numbers of an estimate in the unit of the measure; shares between 0 and 1."""
+    return {measure.name: estimate.value, f"{measure.name}_low": estimate.low, f"{measure.name}_high": estimate.high}
 
 
 def _title(measure: Measure) -> str:
@@ -93,12 +118,12 @@ def _title(measure: Measure) -> str:
 
 
 def interval(measure: Measure, estimate: Estimate) -> str:
-    """An estimate with its interval; shares in percent."""
+    """An estimate, and its interval in a second line; shares in percent."""
     if not estimate.n:
         return "-"
     factor = 100 if measure.unit == "share" else 1
     value, low, high = (factor * number for number in (estimate.value, estimate.low, estimate.high))
-    return f"{value:.1f} ({low:.1f} to {high:.1f})"
+    return f"{value:.1f}\n({low:.1f},{NBSP}{high:.1f})"
 
 
 def comparison_table(groups: pd.DataFrame, names: str) -> Table:
@@ -109,13 +134,21 @@ def comparison_table(groups: pd.DataFrame, names: str) -> Table:
         raise InputError(f"--compare {names}: expected two of {', '.join(known)}, separated by a comma")
     a, b = chosen
     starts = len(group_statistics.paired_starts(groups, a, b)[0])
-    table = Table(title=escape(f"{a} − {b} on the same {starts} starts"), title_justify="left")
-    for title in ("", "difference (95 % interval)", "p"):
-        table.add_column(title, justify="left" if not title else "right")
-    for name, test in group_statistics.differences(groups, a, b).items():
-        measure = BY_NAME[name]
-        table.add_row(escape(_title(measure)), interval(measure, test.difference), p_value(test))
-    return table
+    tests = [(BY_NAME[name], test) for name, test in group_statistics.differences(groups, a, b).items()]
+    return Table(
+        "comparison",
+        ["measure", "difference (95 % interval)", "p"],
+        [
+            [_title(measure), interval(measure, test.difference).replace("\n", " "), p_value(test)]
+            for measure, test in tests
+        ],
+        [
+            {"measure": measure.name, "unit": measure.unit, "difference": test.difference.value}
+            | {"low": test.difference.low, "high": test.difference.high, "p": test.p, "starts": starts}
+            for measure, test in tests
+        ],
+        title=f"{a} − {b} on the same {starts} starts",
+    )
 
 
 def p_value(test: PairedTest) -> str:
@@ -127,19 +160,30 @@ def runs_table(store: BatchStore, where: Sequence[str]) -> Table:
     listed = pd.DataFrame(store.manifest()["runs"])
     for condition in where:
         listed = _filtered(listed, condition)
-    table = Table("run", *CELL, "state")
-    for _, row in listed.iterrows():
-        table.add_row(*("" if pd.isna(row[name]) else str(row[name]) for name in ("run", *CELL, "state")))
-    return table
+    head = ["run", *CELL, "state"]
+    lines = [["" if pd.isna(row[name]) else str(row[name]) for name in head] for _, row in listed.iterrows()]
+    constant = [k for k, name in enumerate(head) if name in CELL and len({line[k] for line in lines}) == 1]
+    shown = [k for k in range(len(head)) if k not in constant] if len(lines) > 1 else range(len(head))
+    same = ", ".join(f"{head[k]} {lines[0][k]}" for k in constant if lines[0][k]) if len(lines) > 1 else ""
+    return Table(
+        "runs",
+        [head[k] for k in shown],
+        [[line[k] for k in shown] for line in lines],
+        listed[head].to_dict("records"),
+        note=f"All runs: {same}." if same else "",
+        labels=len(shown),
+    )
 
 
 def failures_table(store: BatchStore) -> Table:
     """The reasons of all failed attempts, one row per attempt."""
     wanted: dict[str, Any] = {run["run"]: run for run in store.manifest()["runs"]}
-    table = Table("run", "labels", "attempt", "reason", show_lines=True)
+    lines, records = [], []
     for run, failure in store.failures().items():
         if run in wanted:
             labels = " ".join(str(value) for value in failure["labels"].values() if value is not None)
             for k, attempt in enumerate(failure["attempts"]):
-                table.add_row(run, labels, str(k + 1), escape(f"{attempt['kind']}: {attempt['message']}"))
-    return table
+                lines.append([run, labels, str(k + 1), f"{attempt['kind']}: {attempt['message']}"])
+                records.append({"run": run, **failure["labels"], "attempt": k + 1, **attempt})
+    none = "" if lines else "No run failed."
+    return Table("failures", ["run", "labels", "attempt", "reason"], lines, records, note=none, labels=4)

@@ -20,7 +20,7 @@ from cosim.spec.scenario import MAX_WORK, Driver, Scenario, tag_of
 from gri.config import checked, located, parsed, typed
 from gri.errors import InputError
 
-FORMAT = 1  # of the results of a run; with a new number every run is repeated
+FORMAT = 2  # of the results of a run; with a new number every run is repeated
 PACKAGES = ("gri-cosim", "libsumo", "numpy", "torch")  # whose versions a run depends on
 TAGS = ("kind", "rule", "source")  # a mapping with one of these keys replaces another mapping as a whole
 

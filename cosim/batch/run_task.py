@@ -7,6 +7,8 @@ from typing import Any
 import msgspec
 
 from cosim.batch.run_matrix import Run, key_of
+from cosim.batch.spec import LEFT_TO_SUMO, NOMINAL
+from cosim.perturb.traffic_demand import perturbed_traffic
 from cosim.runs.policy_loading import policy_of
 from cosim.runs.run_job import run_job
 from cosim.spec.scenario import Scenario
@@ -36,4 +38,7 @@ def run_task(folder: Path, scenario: Scenario, labels: Mapping[str, Any], key: s
             "the net, the checkpoint or the versions here are not those that the batch began with; start"
             " `cosim batch` again, with the same installation on every machine"
         )
-    run_job(scenario, folder, lambda *_: None, labels=labels, draw=False)
+    of_counterparts = {**labels, "policy": LEFT_TO_SUMO}
+    if perturbed_traffic(scenario).traffic == scenario.traffic:  # what is perturbed is the driven group only
+        of_counterparts |= {"perturbation": NOMINAL, "intensity": None}
+    run_job(scenario, folder, lambda *_: None, labels=labels, counterpart_labels=of_counterparts, draw=False)

@@ -19,6 +19,7 @@ Intensities = Annotated[tuple[float, ...], Meta(min_length=1, max_length=1000)]
 MOST_SEEDS = 100_000
 NOMINAL = "nominal"  # name of the perturbation of a run without one
 PLAIN = "plain"  # name of the variant of a run without one
+LEFT_TO_SUMO = "left to SUMO"  # name of the policy of the counterparts
 
 
 class Sweep(Spec, frozen=True, kw_only=True):

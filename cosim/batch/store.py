@@ -1,7 +1,7 @@
 """A batch on disk: one folder per finished run, tables that join them, failures, a log and a manifest.
 
     runs/<id>/                     a run folder as `cosim run` writes it; it appears whole or not at all
-    groups/run=<id>/part.parquet   its tables again (hard links), partitioned by run; the same for every table
+    groups/run=<id>/part.parquet   its tables again (hard links), partitioned by run; counterparts/ etc. likewise
     failures/<id>.json             runs that failed finally, with their reasons
     log.jsonl                      one line per attempt: seconds, memory, outcome
     manifest.json                  file, versions, machine, and every run with its key, labels, state and hashes

@@ -12,7 +12,7 @@ import typer
 
 from cosim.commands.arguments import AllowCodeOption, MaxWorkOption
 from gri.errors import InputError
-from gri.terminal import ProgressDisplay, console, next_command, notice, say
+from gri.terminal import FormatOption, ProgressDisplay, next_command, notice, say, show_tables
 
 if TYPE_CHECKING:
     from cosim.batch.execute import Tally
@@ -95,13 +95,14 @@ def results(
     ] = [],  # noqa: B006
     by: Annotated[
         str, typer.Option(help="Columns to group by, separated by commas.")
-    ] = "policy,perturbation,intensity",
+    ] = "perturbation,intensity,policy",
     compare: Annotated[
         str | None, typer.Option(help="Compare two policies on the same starts, such as gri,idm.")
     ] = None,
     csv: Annotated[Path | None, typer.Option(help="CSV file to write the selected groups to, one row each.")] = None,
     runs: Annotated[bool, typer.Option("--runs", help="List every run with its state.")] = False,
     failures: Annotated[bool, typer.Option("--failures", help="List the runs that failed, and why.")] = False,
+    table_format: FormatOption = "table",
 ) -> None:
     """List, filter, compare or export the results of a batch."""
     from cosim.batch import result_listing
@@ -109,18 +110,16 @@ def results(
 
     store = BatchStore(folder)
     if failures:
-        return console.print(result_listing.failures_table(store))
+        return show_tables([result_listing.failures_table(store)], table_format)
     if runs:
-        return console.print(result_listing.runs_table(store, where))
+        return show_tables([result_listing.runs_table(store, where)], table_format)
     groups = result_listing.select_groups(store, where)
     if csv:
         groups.to_csv(csv, index=False)
         say(f"{len(groups)} groups: {csv}")
-    elif compare:
-        console.print(result_listing.comparison_table(groups, compare))
-    else:
-        console.print(result_listing.overview_table(groups, by))
-    next_command(f"cosim report {folder}")
+        return next_command(f"cosim report {folder}")
+    table = result_listing.comparison_table(groups, compare) if compare else result_listing.overview_table(groups, by)
+    show_tables([table], table_format, then=f"cosim report {folder}")
 
 
 def _executor(name: str, workers: int | None, address: str | None):

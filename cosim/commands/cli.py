@@ -18,7 +18,8 @@ from cosim.commands.show import explain, gui, render, report
 from cosim.commands.stress import stress
 from cosim.commands.traffic import calibrate, realism, traffic
 from gri.errors import InputError
-from gri.terminal import ProgressDisplay, console, fail, next_command, say, show_version
+from gri.table import Table
+from gri.terminal import FormatOption, ProgressDisplay, console, fail, next_command, say, show_tables, show_version
 
 # Each command imports what it needs: torch and SUMO take seconds to import, and `--help` should not.
 # Without a markup mode the help is plain text: units in square brackets, such as [s], would vanish as Rich markup.
@@ -55,6 +56,7 @@ def run(
     out: Annotated[Path | None, typer.Option(help="Run folder to write; default: a new one in runs/.")] = None,
     max_work: MaxWorkOption = None,
     allow_code: AllowCodeOption = False,
+    table_format: FormatOption = "table",
 ) -> None:
     """Take groups out of live traffic, drive them, hand them back.
 
@@ -69,7 +71,7 @@ def run(
         load_scenario(scenario, max_work=max_work).net
     )  # a mistake need not wait for torch, which the next imports bring
     from cosim.runs.run import run as run_scenario
-    from cosim.runs.summary import terminal_table
+    from cosim.runs.summary import summary_table
 
     began = time.monotonic()
     with ProgressDisplay() as progress:
@@ -84,12 +86,15 @@ def run(
             allow_code=allow_code,
             progress=progress,
         )
-    console.print(terminal_table(done.groups))
-    say(f"\n{time.monotonic() - began:.0f} s. Tables, manifest and picture: {done.folder}")
+    show_tables(
+        [summary_table(done.groups, done.counterparts)],
+        table_format,
+        f"{time.monotonic() - began:.0f} s. Tables, manifest and picture: {done.folder}",
+        then=f"cosim report {done.folder}" if baseline else f"cosim run {scenario} --baseline idm",
+    )
     if failures := done.policy_failures:
         more = f" (and {len(failures) - 1} more groups)" if len(failures) > 1 else ""
         fail(f"the policy failed; its groups count as not completed. {failures[0]}{more}", 1)
-    next_command(f"cosim report {done.folder}" if baseline else f"cosim run {scenario} --baseline idm")
 
 
 for _command in (new, report, explain, render, gui, traffic, calibrate, realism, scenes, stress, batch, results):
@@ -97,20 +102,28 @@ for _command in (new, report, explain, render, gui, traffic, calibrate, realism,
 
 
 @app.command("list")
-def list_() -> None:
+def list_(table_format: FormatOption = "table") -> None:
     """List the shipped scenarios, nets and checkpoints."""
     from cosim.spec.loading import load_scenario, shipped_names
     from gri.resources import checkpoints, shipped
 
-    console.print("scenarios", style="bold")
-    for name in shipped_names("scenarios"):
-        say(f"  {name}\n{fill(load_scenario(name).description, 78, initial_indent=INDENT, subsequent_indent=INDENT)}")
-    console.print("nets", style="bold")
-    for path in sorted(shipped("sumo_nets").glob("*/*.net.xml")):
-        say(f"  {path.parent.name}  {path}")
-    console.print("checkpoints", style="bold")
-    for name in checkpoints():
-        say(f"  {name}")
+    named = [
+        ("scenario", [(name, load_scenario(name).description) for name in shipped_names("scenarios")]),
+        ("net", [(path.parent.name, str(path)) for path in sorted(shipped("sumo_nets").glob("*/*.net.xml"))]),
+        ("checkpoint", [(name, "") for name in checkpoints()]),
+    ]
+    if table_format != "table":
+        rows = [(kind, name, text) for kind, found in named for name, text in found]
+        head = ("kind", "name", "description")
+        return show_tables(
+            [Table("shipped", head, rows, [dict(zip(head, row, strict=True)) for row in rows])], table_format
+        )
+    for kind, found in named:
+        console.print(f"{kind}s", style="bold")
+        for name, text in found:
+            say(f"  {name}")
+            if text:
+                say(fill(text, 78, initial_indent=INDENT, subsequent_indent=INDENT, break_long_words=False))
     next_command("cosim run us101_car_following")
 
 

@@ -5,8 +5,8 @@ from collections.abc import Iterator
 from typing import Any
 
 from cosim.batch import spec
-from cosim.process.markdown_table import markdown_table
 from cosim.spec.scenario import json_schema as scenario_schema
+from gri.table import markdown_table
 
 HEAD = """# Reference of YAML files
 
@@ -40,14 +40,13 @@ def _section(name: str, definition: dict[str, Any]) -> Iterator[str]:
     if not properties:
         return
     required = definition.get("required", [])
-    yield from markdown_table(
+    yield markdown_table(
         ["field", "type", "default"],
         [
             [f"`{field}`", _type(kind), "" if field in required else f"`{_default(kind)}`"]
             for field, kind in properties.items()
         ],
     )
-    yield ""
 
 
 def _default(kind: dict[str, Any]) -> str:

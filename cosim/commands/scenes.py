@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from cosim.commands.arguments import MaxWorkOption, ScenarioArgument
-from gri.terminal import ProgressDisplay, console, finite, next_command, notice, say
+from gri.terminal import FormatOption, ProgressDisplay, finite, notice, show_tables
 
 
 def scenes(
@@ -61,6 +61,7 @@ def scenes(
         int | None, typer.Option(min=1, help="Seeds simulated at a time; default: one per core.")
     ] = None,
     max_work: MaxWorkOption = None,
+    table_format: FormatOption = "table",
 ) -> None:
     """Make labelled three-vehicle scenes from simulated traffic.
 
@@ -94,11 +95,9 @@ def scenes(
             order, out, workers or os.cpu_count() or 1, lambda done, total: progress("scenes", done, total), notice
         )
     report = report_of(order, made, time.monotonic() - began, out)
-    for table in tables(report):
-        console.print(table)
-    say(report["cost"]["text"])
     if order.kinds == ("triple",):
-        next_command(f"gri bench relations --sumo {made.path}")
+        following = f"gri bench relations --sumo {made.path}"
     else:
         config = "sumo_car_following" if "car_following" in order.kinds else "sumo_merge"
-        next_command(f"gri train {config} --scene-file {made.path}")
+        following = f"gri train {config} --scene-file {made.path}"
+    show_tables(list(tables(report)), table_format, report["cost"]["text"], then=following)

@@ -7,7 +7,7 @@ import typer
 
 from cosim.commands.arguments import EpisodeOption, RunArgument
 from gri.errors import InputError
-from gri.terminal import console, next_command, say
+from gri.terminal import FormatOption, next_command, say, show_tables
 
 Format = Literal["html", "gif", "mp4", "png"]
 
@@ -18,23 +18,27 @@ def report(
     out: Annotated[
         Path | None, typer.Option(help="For a batch: file to write; default: report.html in its folder.")
     ] = None,
+    table_format: FormatOption = "table",
 ) -> None:
     """Show a run as a table and picture, a batch as an HTML file."""
     if (folder / "runs").is_dir():
         return _batch_report(folder, out or folder / "report.html")
     from cosim.runs.episode_figure import picture
     from cosim.runs.run_tables import read_tables
-    from cosim.runs.summary import terminal_table
+    from cosim.runs.summary import summary_table
 
     tables = read_tables(folder)
     known = int(tables["groups"]["episode"].max())
     if episode is not None and not 0 <= episode <= known:
         raise InputError(f"--episode: got {episode}, {folder} has the episodes 0 to {known}")
-    console.print(terminal_table(tables["groups"]))
     path = folder / ("episode.png" if episode is None else f"episode-{episode}.png")
     picture(tables, path, episode)
-    say(f"\nPicture: {path}")
-    next_command(f"cosim explain {folder} --episode {episode or 0}")
+    show_tables(
+        [summary_table(tables["groups"], tables["counterparts"])],
+        table_format,
+        f"Picture: {path}",
+        then=f"cosim explain {folder} --episode {episode or 0}",
+    )
 
 
 def _batch_report(folder: Path, path: Path) -> None:

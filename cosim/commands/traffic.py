@@ -10,7 +10,7 @@ import typer
 
 from cosim.commands.arguments import DurationOption, MaxWorkOption, ScenarioArgument, SeedOption, WorkersOption
 from gri.errors import InputError
-from gri.terminal import ProgressDisplay, ShowProgress, console, finite, next_command, say
+from gri.terminal import FormatOption, ProgressDisplay, ShowProgress, finite, show_tables
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -30,6 +30,7 @@ def traffic(
     seeds: Annotated[int, typer.Option(min=1, help="Number of seeds, counted up from the scenario's.")] = 1,
     duration: DurationOption = 600,
     max_work: MaxWorkOption = None,
+    table_format: FormatOption = "table",
 ) -> None:
     """Simulate the traffic alone and compare it with targets.
 
@@ -42,16 +43,16 @@ def traffic(
         override(_simulated(load_scenario(name, max_work=max_work), name), {} if seed is None else {"seed": seed})
         for name in scenarios or SITES
     ]
+    tables = []
     for name, scenario in zip(scenarios or SITES, chosen, strict=True):
         variants = [override(scenario, {"seed": scenario.seed + k}) for k in range(seeds)]
         with ProgressDisplay() as progress:
             found = [_survey(variant, duration, progress, f"seed {variant.seed}") for variant in variants]
         from cosim.studies.traffic_targets import statistics_table, traffic_statistics
 
-        console.print(
-            statistics_table(name, scenario, [traffic_statistics(v, s) for v, s in zip(variants, found, strict=True)])
-        )
-    next_command(f"cosim run {(scenarios or SITES)[0]}")
+        figures = [traffic_statistics(v, s) for v, s in zip(variants, found, strict=True)]
+        tables.append(statistics_table(name, scenario, figures))
+    show_tables(tables, table_format, then=f"cosim run {(scenarios or SITES)[0]}")
 
 
 def calibrate(
@@ -75,6 +76,7 @@ def calibrate(
     workers: WorkersOption = None,
     out: Annotated[Path | None, typer.Option(help="Folder of the results; default: runs/calibrate/NAME.")] = None,
     max_work: MaxWorkOption = None,
+    table_format: FormatOption = "table",
 ) -> None:
     """Fit drivers and speed limits to the recorded targets.
 
@@ -93,14 +95,14 @@ def calibrate(
     with ProgressDisplay() as progress:
         best = calibrate(calibration, evaluations, workers or os.cpu_count() or 1, progress)
     statistics_frame(best.runs).to_csv(folder / "seeds.csv", index=False)
-    console.print(statistics_table(f"{scenario}, best", chosen, best.runs))
     values = ", ".join(f"{p.name} = {value:g}" for p, value in zip(calibration.free, best.values, strict=True))
-    say(
-        f"{values}; misfit {best.misfit:.3f} (below 1: within the tolerances of the targets)."
-        f" {time.monotonic() - began:.0f} s."
+    show_tables(
+        [statistics_table(f"{scenario}, best", chosen, best.runs)],
+        table_format,
+        f"{values}; misfit {best.misfit:.3f} (below 1: within the tolerances of the targets).",
+        f"{time.monotonic() - began:.0f} s. Traffic file: {folder}/traffic.yaml",
+        then=f"cosim realism {scenario} --against RECORDING",
     )
-    say(f"Traffic file: {folder}/traffic.yaml")
-    next_command(f"cosim realism {scenario} --against RECORDING")
 
 
 def _simulated(scenario: "Scenario", name: str) -> "Scenario":
@@ -137,6 +139,7 @@ def realism(
     seed: SeedOption = None,
     duration: DurationOption = 600,
     out: Annotated[Path | None, typer.Option(help="Folder to write; default: a new one in runs/.")] = None,
+    table_format: FormatOption = "table",
 ) -> None:
     """Compare simulated traffic with a recording.
 
@@ -165,9 +168,12 @@ def realism(
         from cosim.studies.realism_report import write_realism_report
 
         table = write_realism_report(partial, simulated, recorded)
-    console.print(table)
-    say(f"{time.monotonic() - began:.0f} s. Distances and picture: {folder}")
-    next_command(f"cosim calibrate {subject}" if not is_run else f"cosim report {subject}")
+    show_tables(
+        [table],
+        table_format,
+        f"{time.monotonic() - began:.0f} s. Distances and picture: {folder}",
+        then=f"cosim report {subject}" if is_run else f"cosim calibrate {subject}",
+    )
 
 
 def _lanes(text: str | None) -> list[int]:

@@ -18,11 +18,11 @@ from cosim.loop.policy_runner import PolicyRunner
 from cosim.loop.round_recorder import Round, RoundRecorder, hard_braking
 from cosim.loop.state_layouts import layout_of
 from cosim.loop.take_over_and_hand_back import Control, PolicyControl, SumoControl
-from cosim.spec.scenario import GraphSource, Inferred
+from cosim.spec.scenario import AFTERMATH, GraphSource, Inferred
 from cosim.sumo import Sumo
 from cosim.world.break_ups import lane_entries, with_cause
 from cosim.world.contacts import contacts_of
-from cosim.world.episode import AFTERMATH, COLUMNS, Contact, Episode, Event, EventKind
+from cosim.world.episode import COLUMNS, Contact, Episode, Event, EventKind
 from cosim.world.groups import order_of
 from cosim.world.road_frame import RoadFrame
 from cosim.world.snapshot import Snapshot

@@ -78,6 +78,8 @@ def _change(
         span=_span(scenario.road.length, this_round.lanes),
         rule=rule,
         braking=max_braking,
+        driven=this_round.driven_roles,
+        sides=_sides(this_round.lanes),
     )
     if reason is not None:
         return reason
@@ -109,6 +111,14 @@ def _span(length: float, lanes: MergeLanes | None) -> Float[np.ndarray, "3 2"]:
     if lanes is not None:
         span[0] = lanes.source.begin, lanes.source.end
     return span
+
+
+def _sides(lanes: MergeLanes | None) -> tuple[float, float] | None:
+    """The range of d [m] from the lane that ends, the rightmost one, to the left border; None in car following."""
+    if lanes is None:
+        return None
+    half = 0.5 * lanes.target.width
+    return lanes.source.centre - half, half  # d = 0 is the centre of the leftmost lane
 
 
 def _unavoidable_contact(

@@ -10,14 +10,14 @@ Sources: TTC Hayward (1972); DRAC Cooper and Ferguson (1976); PET Allen, Shin an
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import permutations
 
 import numpy as np
 from jaxtyping import Bool, Float
 
 from cosim.measures.collision_detection import Boxes, box_centre, boxes_overlap
 
-HARD_BRAKING = 4.5  # [m/s^2]
+BRAKING = (2.0, 3.0)  # [m/s²]; SUMO's drivers here brake with 3.5 at most unless there is an emergency
+HARD_BRAKING = 4.5  # [m/s²]
 JERK_QUANTILES = (0.5, 0.95, 0.99)
 PET_SUBSTEPS = 10  # of a step, between which poses are interpolated for PET
 
@@ -169,9 +169,9 @@ def jerk(track: Track) -> Float[np.ndarray, " U"]:
     return np.diff(track.a) / np.diff(track.time)
 
 
-def hard_brakings(track: Track) -> int:
-    """Number of times the vehicle begins to brake harder than HARD_BRAKING."""
-    hard = track.a < -HARD_BRAKING
+def brakings(track: Track, threshold: float = HARD_BRAKING) -> int:
+    """Number of times the vehicle begins to brake harder than the threshold [m/s²]."""
+    hard = track.a < -threshold
     return int(hard[0]) + int((hard[1:] & ~hard[:-1]).sum())
 
 
@@ -193,28 +193,63 @@ def effect_on(follower: Track) -> dict[str, float]:
     }
 
 
-def conflicts(tracks: Sequence[Track], concerned: Sequence[int]) -> dict[str, float]:
-    """The worst value of each safety measure over all pairs with a vehicle of `concerned` (indices of `tracks`).
+def conflicts(members: Sequence[Track], driven: Sequence[int], others: Sequence[Track] = ()) -> dict[str, float]:
+    """The worst value of each safety measure over all pairs in which a driven vehicle is the one behind.
 
-    Keys: min_ttc [s], max_drac [m/s²], min_pet [s], min_headway [s], min_gap [m] (between boxes). A pair counts at all
-    instants at which both vehicles are present.
+    Args:
+        members: the vehicles of the group.
+        driven: which of them count as the one behind.
+        others: parts of the tracks of vehicles outside the group, each without a break.
+
+    Returns:
+        Between members: min_gap [m] (net, along the road), min_ttc [s], max_drac [m/s²], min_pet [s], min_headway [s],
+        and min_distance [m] (between boxes, wherever both are). The same without the headway, with `_to_others` behind
+        the name, from driven vehicles to others. A pair counts at all instants at which both vehicles are present.
     """
-    pairs = [
-        _common_instants(tracks[i], tracks[j])
-        for i, j in permutations(range(len(tracks)), 2)
-        if {i, j} & set(concerned)
-    ]
-    pairs = [(i, j) for i, j in pairs if len(i.time) > 1]
+    inside = [(members[i], member) for i in driven for j, member in enumerate(members) if i != j]
+    outside = [(members[i], other) for i in driven for other in others]
+    to_others = _worst(_common(outside))
+    del to_others["min_headway"]
+    return _worst(_common(inside)) | {f"{name}_to_others": value for name, value in to_others.items()}
+
+
+def _common(pairs: Sequence[tuple[Track, Track]]) -> list[tuple[Track, Track]]:
+    """The pairs at the instants at which both are present, without those that never are."""
+    return [both for i, j in pairs if len((both := _common_instants(i, j))[0].time)]
+
+
+def _worst(pairs: Sequence[tuple[Track, Track]]) -> dict[str, float]:
+    """The worst value of each measure over these pairs of (vehicle behind, vehicle ahead)."""
     min_pet = np.inf
     for i, j in pairs:
-        min_pet = min(min_pet, pet(i, j, below=min_pet))
+        if len(i.time) > 1 and _paths_may_cross(i, j):
+            min_pet = min(min_pet, pet(i, j, below=min_pet))
     return {
+        "min_gap": min((float(gap(i, j).min()) for i, j in pairs), default=np.inf),
         "min_ttc": min((float(ttc(i, j).min()) for i, j in pairs), default=np.inf),
         "max_drac": max((float(drac(i, j).max()) for i, j in pairs), default=0.0),
         "min_pet": min_pet,
         "min_headway": min((float(time_headway(i, j).min()) for i, j in pairs), default=np.inf),
-        "min_gap": min((float(box_distance(i, j).min()) for i, j in pairs), default=np.inf),
+        "min_distance": min((float(box_distance(i, j).min()) for i, j in pairs), default=np.inf),
     }
+
+
+def _paths_may_cross(second: Track, first: Track) -> bool:
+    """Whether the rectangles in the road frame that hold all places of each vehicle overlap; a fast test before `pet`.
+
+    They are wider by 1 m and by what the rear of a vehicle swings out, because it may be at an angle to the road.
+    """
+    along = second.s.max() + second.width > (first.s - first.length).min() - first.width
+    side = 0.5 * (second.width + first.width) + 1.0 + _swing(second) + _swing(first)
+    across = second.d.min() - first.d.max() < side and first.d.min() - second.d.max() < side
+    return bool(along and across)
+
+
+def _swing(track: Track) -> float:
+    """How far [m] the rear of a vehicle may be beside its front, from the direction in which it moves."""
+    ds, dd = np.abs(np.diff(track.s)), np.abs(np.diff(track.d))
+    moves = ds + dd > 0.05
+    return track.length * float((dd[moves] / np.hypot(ds, dd)[moves]).max(initial=0.0))
 
 
 def _common_instants(one: Track, other: Track) -> tuple[Track, Track]:
@@ -228,12 +263,14 @@ def _common_instants(one: Track, other: Track) -> tuple[Track, Track]:
 def comfort(tracks: Sequence[Track]) -> dict[str, float]:
     """Comfort of all these vehicles together.
 
-    Keys: jerk_50, jerk_95, jerk_99 [m/s³] (quantiles of |jerk|), min_acceleration [m/s²], hard_brakings (a count).
+    Keys: jerk_50, jerk_95, jerk_99 [m/s³] (quantiles of |jerk|), min_acceleration [m/s²], and the numbers of times that
+    a vehicle begins to brake harder than 2, 3 and 4.5 m/s²: brakings_2, brakings_3, hard_brakings.
     """
     size = np.abs(np.concatenate([jerk(track) for track in tracks]))
     quantiles = np.quantile(size, JERK_QUANTILES) if len(size) else np.zeros(len(JERK_QUANTILES))
     return {
         **{f"jerk_{100 * q:.0f}": float(value) for q, value in zip(JERK_QUANTILES, quantiles, strict=True)},
         "min_acceleration": min(float(track.a.min()) for track in tracks),
-        "hard_brakings": float(sum(hard_brakings(track) for track in tracks)),
+        **{f"brakings_{x:.0f}": float(sum(brakings(track, x) for track in tracks)) for x in BRAKING},
+        "hard_brakings": float(sum(brakings(track) for track in tracks)),
     }

@@ -9,8 +9,9 @@ from enum import StrEnum
 from itertools import pairwise
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
+from cosim.perturb.reference_manoeuvres import VehicleStates, can_be_avoided
 from cosim.spec.perturbations import HeadwayMetres, HeadwayRatio, Perturbation, RemoveThird, SpeedOffset
 
 BRAKING = 8.0  # [m/s^2], the hardest braking of a vehicle on a dry road
@@ -22,22 +23,8 @@ class Infeasible(StrEnum):
     OVERLAP = "overlap"  # a displaced vehicle overlaps another one
     OFF_ROAD = "off_road"  # a displaced vehicle is outside the road or its lane
     ORDER = "order"  # in one lane a follower must be behind its leader, with no vehicle in between
-    UNAVOIDABLE = "unavoidable"  # even braking with BRAKING from the start on does not avoid a contact
+    UNAVOIDABLE = "unavoidable"  # no reference driver avoids a contact that begins in the first second
     NO_NEIGHBOUR = "no_neighbour"  # no vehicle is there that could cut in
-
-
-@dataclass(frozen=True)
-class VehicleStates:
-    """Vehicles at one instant in the road frame: front bumpers (s, d) [m], speeds v [m/s], sizes [m]."""
-
-    s: Float[np.ndarray, " V"]
-    d: Float[np.ndarray, " V"]
-    v: Float[np.ndarray, " V"]
-    length: Float[np.ndarray, " V"]
-    width: Float[np.ndarray, " V"]
-
-    def __getitem__(self, rows: Bool[np.ndarray, " V"] | Int[np.ndarray, " R"]) -> "VehicleStates":
-        return VehicleStates(self.s[rows], self.d[rows], self.v[rows], self.length[rows], self.width[rows])
 
 
 @dataclass(frozen=True)
@@ -88,11 +75,15 @@ def infeasibility(
     span: Float[np.ndarray, "3 2"],
     rule: HeadwayRule,
     braking: float = BRAKING,
+    driven: Sequence[int] = (0, 1),
+    sides: tuple[float, float] | None = None,
 ) -> Infeasible | None:
     """Why the start `after` is infeasible; None where it is feasible.
 
     `others` are the vehicles around the group. `present` says which vehicles of the group are not removed. `span` [m]
-    is the range of s in which each of the three vehicles can be, `braking` [m/s²] the hardest possible braking.
+    is the range of s in which each of the three vehicles can be, `braking` [m/s²] the hardest possible braking. The
+    policy drives the roles in `driven`, which are present. `sides` is the range of d [m] of the road; None where
+    vehicles cannot leave their lane.
     """
     moved = present & ((before.s != after.s) | (before.v != after.v))
     if not moved.any():
@@ -106,7 +97,7 @@ def infeasibility(
         return Infeasible.ORDER if not _overlap(everyone, concerned) else Infeasible.OVERLAP
     if _overlap(everyone, concerned):
         return Infeasible.OVERLAP
-    return Infeasible.UNAVOIDABLE if _unavoidable(everyone, concerned, braking) else None
+    return None if can_be_avoided(everyone, concerned, driven, braking, sides) else Infeasible.UNAVOIDABLE
 
 
 def _columns(states: VehicleStates) -> tuple[np.ndarray, ...]:
@@ -133,18 +124,6 @@ def _in_order(group: VehicleStates, others: VehicleStates) -> bool:
     return all(
         behind < ahead and not ((fronts > behind) & (fronts < ahead)).any() for behind, ahead in pairwise(group.s)
     )
-
-
-def _unavoidable(states: VehicleStates, concerned: Bool[np.ndarray, " V"], braking: float) -> bool:
-    """Whether a concerned vehicle collides although the follower brakes at once and its leader keeps its speed.
-
-    The gap closes by (v_i − v_j)²/(2b) before the speeds are the same.
-    """
-    gap = states.s[None] - states.length[None] - states.s[:, None]  # Shape: (behind, ahead)
-    closing = np.maximum(states.v[:, None] - states.v[None], 0.0)
-    behind = _in_path(states) & (states.s[None] > states.s[:, None])
-    collides = behind & (closing**2 / (2 * braking) > gap)
-    return bool(collides[concerned].any() or collides[:, concerned].any())
 
 
 def collides_despite_braking(

@@ -25,7 +25,8 @@ def draw_road(net: NetLanes, road: MainRoad, lane: EndingLane | None, path: Path
     for edge in road.edges:
         shape = net.lanes[net.of_edge[edge][-1]].shape
         k = (len(shape) - 1) // 2
-        middle = tuple((a + b) / 2 for a, b in zip(shape[k], shape[-1 - k], strict=True))
+        (x_0, y_0), (x_1, y_1) = shape[k], shape[-1 - k]
+        middle = (x_0 + x_1) / 2, (y_0 + y_1) / 2
         axes.annotate(edge, middle, xytext=(0, 8), textcoords="offset points", fontsize=7, color=BLUE, ha="center")
     start = net.lanes[net.of_edge[road.edges[0]][-1]].shape[0]
     axes.plot(*start, "o", color=BLUE)

@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch
 
 from cosim.runs.summary import driver_name
-from cosim.world.episode import LEFT_ALONE
 
 ROLE_COLOURS = ("#0072b2", "#d55e00", "#444444")
 EDGE_COLOURS = {"follow": "#009e73", "yield": "#e69f00", "cut_in": "#cc79a7"}
@@ -39,11 +38,10 @@ class EpisodeFigure(Figure):
         return buffer.getvalue()
 
 
-def most_eventful(groups: pd.DataFrame, steps: pd.DataFrame) -> int:
+def most_eventful(steps: pd.DataFrame) -> int:
     """Number of the driven episode whose leader's speed varies most."""
-    first = groups["driver"].iloc[0]
-    leader = steps[(steps["driver"] == first) & (steps["role"] == 2) & steps["during_drive"]]
-    return int(leader.groupby("episode")["v"].agg(np.ptp).idxmax())
+    leader = steps[~steps["counterpart"] & (steps["role"] == 2) & steps["during_drive"]]
+    return int(str(leader.groupby("episode")["v"].agg(np.ptp).idxmax()))
 
 
 def picture(tables: Mapping[str, pd.DataFrame], path: Path, episode: int | None = None) -> None:
@@ -60,11 +58,13 @@ def figure(tables: Mapping[str, pd.DataFrame], episode: int | None = None) -> Fi
         episode: its number; by default the driven episode whose leader changes speed most.
     """
     groups, steps = tables["groups"], tables["steps"]
-    episode = most_eventful(groups, steps) if episode is None else episode
-    driver = groups["driver"].iloc[0]
-    group = groups[(groups["episode"] == episode) & (groups["driver"] == driver)].iloc[0].to_dict()
-    own = steps[(steps["episode"] == episode) & (steps["driver"] == driver)]
-    counterpart = _counterpart(group, groups, steps)
+    episode = most_eventful(steps) if episode is None else episode
+    (row,) = groups[groups["episode"] == episode].to_dict("records")
+    group = {str(name): value for name, value in row.items()}
+    driver = str(group["driver"])
+    of_episode = steps["episode"] == episode
+    own, left = steps[of_episode & ~steps["counterpart"]], steps[of_episode & steps["counterpart"]]
+    counterpart = left if len(left) else None
     with matplotlib.rc_context(_STYLE):
         shown = _CURVES if group["rule"] == "merge" else {k: v for k, v in _CURVES.items() if k != "d"}
         drawn = EpisodeFigure(figsize=(10, 1 + 2 * len(shown)), layout="constrained")
@@ -89,15 +89,6 @@ def figure(tables: Mapping[str, pd.DataFrame], episode: int | None = None) -> Fi
             ha="left",
         )
         return drawn
-
-
-def _counterpart(group: dict[str, Any], groups: pd.DataFrame, steps: pd.DataFrame) -> pd.DataFrame | None:
-    """The steps of the same group left to SUMO, where that was recorded."""
-    same = groups["driver"].isin(LEFT_ALONE) & (groups["vehicle_0"] == group["vehicle_0"])
-    if group["driver"] in LEFT_ALONE or not same.any():
-        return None
-    number = groups[same]["episode"].iloc[0]
-    return steps[(steps["episode"] == number) & steps["driver"].isin(LEFT_ALONE)]
 
 
 def _curves(

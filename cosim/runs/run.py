@@ -13,7 +13,7 @@ import pandas as pd
 
 from cosim.process.worker_process import run_in_worker
 from cosim.runs.run_folder import next_folder, run_folder
-from cosim.runs.run_tables import read_tables
+from cosim.runs.run_tables import TABLES, read_tables
 from cosim.runs.summary import summary
 from cosim.runs.surroundings_table import read_surroundings
 from cosim.runs.user_policy import unfit
@@ -35,13 +35,15 @@ class Run:
 
     folder: Path
     steps: pd.DataFrame
-    """One row per episode, driver, instant and vehicle."""
+    """One row per episode, instant and vehicle; `counterpart` marks the rows of the groups left to SUMO."""
     groups: pd.DataFrame
-    """One row per episode and driver: the vehicles, how the drive ended, and its figures."""
+    """One row per driven group: the vehicles, how the drive ended, and its figures."""
+    counterparts: pd.DataFrame
+    """The same for the same groups left to SUMO; no rows if the policy is `sumo`. Joins `groups` by `episode`."""
     events: pd.DataFrame
-    """One row per event of an episode."""
+    """One row per event of an episode; `counterpart` as in `steps`."""
     graphs: pd.DataFrame
-    """One row per episode, inference and ordered pair of vehicles: the inferred relation and its probability."""
+    """One row per driven group, inference and ordered pair of vehicles: the inferred relation and its probability."""
     manifest: dict[str, Any]
     """Arguments, versions and hashes of the run."""
 
@@ -52,8 +54,8 @@ class Run:
 
     @property
     def tables(self) -> dict[str, pd.DataFrame]:
-        """The four tables by name."""
-        return {name: getattr(self, name) for name in ("steps", "groups", "events", "graphs")}
+        """The five tables by name."""
+        return {name: getattr(self, name) for name in TABLES}
 
     @property
     def policy_failures(self) -> list[str]:
@@ -67,7 +69,7 @@ class Run:
 
     def summary(self) -> pd.DataFrame:
         """The table that `cosim run` prints: a row per figure, a column per driver, all cells as text."""
-        return summary(self.groups)
+        return summary(self.groups, self.counterparts)
 
     def figure(self, episode: int | None = None) -> Any:
         """A matplotlib `Figure` of one episode; by default the one whose leader changes speed most.
@@ -77,9 +79,9 @@ class Run:
         """
         from cosim.runs.episode_figure import figure
 
-        driven = self.groups.loc[self.groups["driver"] == self.groups["driver"].iloc[0], "episode"]
-        if episode is not None and episode not in set(driven):
-            raise InputError(f"episode: got {episode}, {self.folder} has the episodes 0 to {int(driven.max())}")
+        if episode is not None and episode not in set(self.groups["episode"]):
+            last = int(self.groups["episode"].max())
+            raise InputError(f"episode: got {episode}, {self.folder} has the episodes 0 to {last}")
         return figure(self.tables, episode)
 
     def __repr__(self) -> str:
@@ -93,8 +95,7 @@ class Run:
 
     def _facts(self) -> list[str]:
         arguments = self.manifest["arguments"]
-        driven = int((self.groups["driver"] == self.groups["driver"].iloc[0]).sum())
-        return [f"driver {arguments['driver']}", f"seed {arguments['seed']}", f"{driven} episodes"]
+        return [f"driver {arguments['driver']}", f"seed {arguments['seed']}", f"{len(self.groups)} episodes"]
 
 
 def run(

@@ -43,6 +43,7 @@ def run_job(
     tell: Callable[..., None],
     *,
     labels: Mapping[str, Any] | None = None,
+    counterpart_labels: Mapping[str, Any] | None = None,
     draw: bool = True,
     policy: Policy | None = None,
 ) -> None:
@@ -53,6 +54,7 @@ def run_job(
         folder: an existing, empty folder.
         tell: called with (stage, done, total).
         labels: constant columns to put in front of the groups table; a batch says with them which run this is.
+        counterpart_labels: the same for the counterparts table; by default `labels`.
         draw: whether to draw a picture of one episode.
         policy: a policy object that takes the place of the one that the scenario names.
 
@@ -72,12 +74,15 @@ def run_job(
         raise InputError(
             f"group: no group fits the rule within {scenario.time_limit:g} s; loosen its gaps or raise time_limit"
         )
-    episodes = [*outcome.episodes, *([] if driver is None else outcome.left_to_sumo)]
+    episodes, counterparts = outcome.episodes, () if driver is None else outcome.left_to_sumo
     expected = expected_graph(scenario.group)
+    groups = run_tables.groups_table(episodes, expected)
+    left = run_tables.groups_table(counterparts, expected) if counterparts else groups.iloc[:0]
     tables = {
-        "steps": run_tables.steps_table(episodes),
-        "groups": run_tables.labelled(run_tables.groups_table(episodes, expected), labels or {}),
-        "events": run_tables.events_table(episodes),
+        "steps": run_tables.steps_table(episodes, counterparts),
+        "groups": run_tables.labelled(groups, labels or {}),
+        "counterparts": run_tables.labelled(left, counterpart_labels or labels or {}),
+        "events": run_tables.events_table(episodes, counterparts),
         "graphs": run_tables.graphs_table(episodes),
     }
     run_tables.write_tables(folder, tables)

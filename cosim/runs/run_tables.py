@@ -1,43 +1,62 @@
-"""A run on disk: Parquet tables for steps, groups, events and graphs, a manifest, and one picture.
+"""A run on disk: Parquet tables for steps, groups, counterparts, events and graphs, a manifest, and one picture.
 
 Columns and units are in docs/reference/run-tables.md: SI units, e.g. jerk in m/s³. A run folder appears whole or not at
 all: it is written beside its place and then moved there.
+
+The counterpart of a driven group is the same group left to SUMO, or as it was recorded. It has the number of its
+episode. Counterparts have a table of their own; in `steps` and `events` the column `counterpart` marks their rows.
 """
 
 import json
 import os
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+from jaxtyping import Bool
 
+from cosim.measures.surrogate_safety import BRAKING, brakings
 from cosim.spec.input_files import sha256
 from cosim.world.episode import COLUMNS, Episode, EventKind
 from cosim.world.outcome_columns import outcome_columns
+from cosim.world.safety import safety_measures, track_of_role
 from gri.core.graph import EdgeType, pairs
 from gri.errors import InputError
 
-TABLES = ("steps", "groups", "events", "graphs")
+TABLES = ("steps", "groups", "counterparts", "events", "graphs")
 
 
-def steps_table(episodes: Sequence[Episode]) -> pd.DataFrame:
-    """One row per episode, instant and vehicle; `gap` and `ttc` are towards the next vehicle of the group."""
-    return pd.concat([_steps(number, episode) for number, episode in enumerate(episodes)], ignore_index=True)
+def steps_table(episodes: Sequence[Episode], counterparts: Sequence[Episode] = ()) -> pd.DataFrame:
+    """One row per episode, instant and vehicle; `gap` and `ttc` are towards the next vehicle of the group.
+
+    The k-th counterpart belongs to the k-th episode and gets its number.
+    """
+    return pd.concat([_steps(*numbered) for numbered in _numbered(episodes, counterparts)], ignore_index=True)
 
 
-def _steps(number: int, episode: Episode) -> pd.DataFrame:
+def _numbered(episodes: Sequence[Episode], counterparts: Sequence[Episode]) -> Iterator[tuple[np.int32, Episode, bool]]:
+    """Each episode with its number and whether it is a counterpart."""
+    for is_counterpart, part in enumerate((episodes, counterparts)):
+        for number, episode in enumerate(part):
+            yield np.int32(number), episode, bool(is_counterpart)
+
+
+def _steps(number: np.int32, episode: Episode, counterpart: bool) -> pd.DataFrame:
     n = len(episode.time)
     towards = {name: np.full((n, 3), np.nan) for name in ("gap", "ttc")}
     for name in towards:
         towards[name][:, episode.order[:2]] = getattr(episode, name)
     return pd.DataFrame(
         {
-            "episode": np.int32(number),
+            "episode": number,
             "driver": episode.driver,
+            "counterpart": counterpart,
             "time": np.repeat(episode.time, 3),
             "role": np.tile(np.arange(3, dtype=np.int8), n),
             "vehicle": list(episode.group.ids) * n,
@@ -72,20 +91,34 @@ def _group(number: int, episode: Episode, expected: Mapping[tuple[int, int], Edg
         "ending": episode.ending.value,
         **outcome_columns(episode),
         **_inferred_graph_columns(episode, expected),
-        "min_gap": float(np.where(episode.in_path, episode.gap, np.inf)[way].min()),
-        "min_ttc": float(episode.ttc[way].min()),
+        **safety_measures(episode),
         "mean_speed": float(episode.feature("v")[way][:, :2].mean()),
         "jerk_within_3": float((owned_jerk <= 3).mean()),
         "min_acceleration": float(episode.feature("a")[way][:, :2].min()),
+        **_brakings(episode, way, ""),
+        **_brakings(episode, episode.time > episode.end + 1e-6, "_after"),
         "min_acceleration_after": float(np.where(after, episode.feature("a")[:, :2], np.inf).min()),
         "hard_braking_after": sum(event.kind is EventKind.HARD_BRAKING for event in episode.events),
     }
 
 
+def _brakings(episode: Episode, when: Bool[np.ndarray, " T"], suffix: str) -> dict[str, int]:
+    """How often a driven vehicle begins to brake harder than each threshold of BRAKING at these instants."""
+    tracks = [track_of_role(episode, role)[when & episode.valid[:, role]] for role in episode.judged_roles]
+    return {
+        f"brakings_{threshold:.0f}{suffix}": sum(brakings(track, threshold) for track in tracks if len(track.time))
+        for threshold in BRAKING
+    }
+
+
 def _inferred_graph_columns(episode: Episode, expected: Mapping[tuple[int, int], EdgeType]) -> dict[str, Any]:
-    """The inferred type and its probability for each pair, and whether the whole graph is the expected one."""
+    """The inferred type and its probability for each pair, and whether the whole graph is the expected one.
+
+    All are missing for a driver without a graph.
+    """
     if episode.graph is None:
-        return {}
+        edges = {f"edge_{i}_{j}{of}": missing for i, j in pairs(3) for of, missing in (("", None), ("_p", np.nan))}
+        return {**edges, "graph_as_expected": None, "graph_unknown": np.nan}
     graph = episode.graph
     types = [graph.vocabulary[k] for k in graph.map[0].tolist()]
     probabilities = graph.probs[0].max(-1).values.tolist()
@@ -125,21 +158,23 @@ def labelled(table: pd.DataFrame, labels: Mapping[str, Any]) -> pd.DataFrame:
     return pd.concat([pd.DataFrame(columns, index=table.index), table], axis=1)
 
 
-def events_table(episodes: Sequence[Episode]) -> pd.DataFrame:
+def events_table(episodes: Sequence[Episode], counterparts: Sequence[Episode] = ()) -> pd.DataFrame:
     """One row per event."""
     rows = [
         (
-            np.int32(number),
+            number,
             episode.driver,
+            counterpart,
             event.time,
             event.kind.value,
             " ".join(event.vehicles),
             event.detail,
         )
-        for number, episode in enumerate(episodes)
+        for number, episode, counterpart in _numbered(episodes, counterparts)
         for event in episode.events
     ]
-    return pd.DataFrame(rows, columns=["episode", "driver", "time", "kind", "vehicles", "detail"])
+    columns = ["episode", "driver", "counterpart", "time", "kind", "vehicles", "detail"]
+    return pd.DataFrame(rows, columns=columns)
 
 
 def manifest(arguments: Mapping[str, Any], inputs: Mapping[str, Path], folder: Path) -> dict[str, Any]:
@@ -155,8 +190,14 @@ def manifest(arguments: Mapping[str, Any], inputs: Mapping[str, Path], folder: P
 
 
 def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame]) -> None:
+    """Write each table with the same types of columns in every run, so that the tables of many runs can be joined."""
     for name in TABLES:
-        tables[name].to_parquet(folder / f"{name}.parquet", index=False)
+        table = pa.Table.from_pandas(tables[name], preserve_index=False)
+        for k, field in enumerate(table.schema):
+            if pa.types.is_null(field.type):  # every value is missing
+                kind = pa.bool_() if field.name == "graph_as_expected" else pa.string()
+                table = table.set_column(k, field.with_type(kind), table.column(k).cast(kind))
+        pq.write_table(table, folder / f"{name}.parquet")
 
 
 def write_manifest(folder: Path, content: Mapping[str, Any]) -> None:
@@ -167,6 +208,11 @@ def read_tables(folder: Path) -> dict[str, pd.DataFrame]:
     """The tables of a run folder; an InputError says what is missing."""
     if not folder.is_dir():
         raise InputError(f"{folder}: no such folder; give a run folder written by `cosim run`")
+    if (folder / "groups.parquet").is_file() and not (folder / "counterparts.parquet").is_file():
+        raise InputError(
+            f"{folder}: no counterparts.parquet in it; got a run folder that an older version wrote, which mixed the"
+            " counterparts into the groups; run the scenario again"
+        )
     for name in TABLES:
         if not (folder / f"{name}.parquet").is_file():
             raise InputError(f"{folder}: no {name}.parquet in it; expected a run folder written by `cosim run`")

@@ -1,13 +1,13 @@
 """The summary of a run: one column per driver, one row per figure."""
 
 from collections.abc import Callable
+from typing import Any
 
 import pandas as pd
-from rich.markup import escape
-from rich.table import Table
 
 from cosim.world.episode import ARRIVED, INTERRUPTED, Ending
-from cosim.world.outcome_columns import headline, with_outcome_columns
+from cosim.world.outcome_columns import headline
+from gri.table import Table
 
 DRIVER_NAMES = {
     "gri": "GRI",
@@ -19,28 +19,60 @@ DRIVER_NAMES = {
     "sumo": "left to SUMO",
     "recorded": "as recorded",
 }
+_PER_VEHICLE = ("vehicle", "length", "width")
 Row = tuple[str, Callable[[pd.DataFrame], str]]
 
 
-def summary(groups: pd.DataFrame) -> pd.DataFrame:
-    """The figures of a run as text: a column per driver, in the order of the `groups` table."""
-    groups = with_outcome_columns(groups)
-    drivers = list(dict.fromkeys(groups["driver"]))
-    parts = [groups[groups["driver"] == driver] for driver in drivers]
+def summary(groups: pd.DataFrame, counterparts: pd.DataFrame) -> pd.DataFrame:
+    """The figures of a run as text: a column for the driven groups, and one for their counterparts if there are any."""
+    parts = [part for part in (groups, counterparts) if len(part)]
     rows = [[value(part) for part in parts] for _, value in _ROWS]
-    return pd.DataFrame(rows, index=[label for label, _ in _ROWS], columns=[driver_name(driver) for driver in drivers])
+    columns = [driver_name(part["driver"].iloc[0]) for part in parts]
+    return pd.DataFrame(rows, index=[label for label, _ in _ROWS], columns=columns)
 
 
-def terminal_table(groups: pd.DataFrame) -> Table:
-    """The summary as a table for the terminal."""
-    table = Table(title="Driven groups, and the same groups without a policy", title_justify="left")
-    table.add_column("")
-    content = summary(groups)
-    for driver in content.columns:
-        table.add_column(driver, justify="right")
-    for label, values in zip(content.index, content.to_numpy(), strict=True):
-        table.add_row(escape(label), *values)
-    return table
+def summary_table(groups: pd.DataFrame, counterparts: pd.DataFrame) -> Table:
+    """The summary as a table, with the numbers of `summary_records`."""
+    content = summary(groups, counterparts)
+    lines = [[label, *values] for label, values in zip(content.index, content.to_numpy(), strict=True)]
+    title = "Driven groups, and the same groups without a policy"
+    return Table(
+        "summary",
+        ["", *content.columns],
+        lines,
+        summary_records(pd.concat([groups, counterparts], ignore_index=True)),
+        title=title,
+    )
+
+
+def summary_records(groups: pd.DataFrame) -> list[dict[str, Any]]:
+    """One record per driver from the columns of the `groups` table.
+
+    Of a column with numbers: least, median, mean and greatest value over groups, as COLUMN_min and so on. Of facts and
+    categories: the number of groups with each, as COLUMN (true facts) or COLUMN_CATEGORY.
+    """
+    skipped = {"episode", "driver", "rule", "takeover_time", *(f"{of}_{k}" for of in _PER_VEHICLE for k in range(3))}
+    records = []
+    for driver, part in groups.groupby("driver", sort=False):
+        record: dict[str, Any] = {"driver": str(driver), "groups": len(part)}
+        for name in (str(name) for name in groups.columns if name not in skipped):
+            values = part[name].dropna()
+            if pd.api.types.is_bool_dtype(values.infer_objects()):
+                record[name] = int(values.sum())
+            elif not len(values):
+                record[name] = None
+            elif pd.api.types.is_numeric_dtype(values):
+                found = values.agg(["min", "median", "mean", "max"])
+                record |= {f"{name}_{which}": float(value) for which, value in found.items()}
+            else:
+                record |= {f"{name}_{kind}": int(n) for kind, n in values.value_counts().items()}
+        records.append(record)
+    return records
+
+
+def shortest_time(seconds: float) -> str:
+    """A time to collision or a similar time [s] as text without unit; longer times than a minute say nothing more."""
+    return "> 60" if seconds > 60 else f"{seconds:.1f}"
 
 
 def driver_name(driver: str) -> str:
@@ -122,7 +154,10 @@ _ROWS: tuple[Row, ...] = (
     ("  whole graph as expected", _as_expected),
     ("  scene known to the model", _known),
     ("minimum gap [m]: worst / median", lambda g: f"{g['min_gap'].min():.1f} / {g['min_gap'].median():.1f}"),
-    ("minimum TTC [s]: worst / median", lambda g: f"{g['min_ttc'].min():.1f} / {g['min_ttc'].median():.1f}"),
+    (
+        "minimum TTC [s]: worst / median",
+        lambda g: f"{shortest_time(g['min_ttc'].min())} / {shortest_time(g['min_ttc'].median())}",
+    ),
     ("mean speed [m/s]", lambda g: f"{g['mean_speed'].mean():.1f}"),
     ("steps with |jerk| <= 3 m/s³ [%]", lambda g: f"{100 * g['jerk_within_3'].mean():.1f}"),
     ("hardest braking [m/s²]: drive / after", _hardest_braking),

@@ -6,11 +6,11 @@ from typing import Any
 
 import msgspec
 import numpy as np
-from rich.table import Table
 
 from cosim.measures.label_agreement import Agreement
 from cosim.scenes.dataset import Dataset, DatasetSpec, total_tally
 from gri.core.edges import LANE_CHANGING
+from gri.table import Table
 
 NAMES = [str(kind) for kind in LANE_CHANGING]
 
@@ -64,30 +64,45 @@ def _rounded(value: float) -> float | None:
 
 def tables(report: dict[str, Any]) -> Iterator[Table]:
     """The tables for the terminal: shares of relations, agreement of labels, and rejected candidates."""
-    shares = Table("kind", "scenes", "unambiguous", "labels", *NAMES, title="Relations: share of all ordered pairs")
-    for kind, tally in report["kinds"].items():
-        scenes, clear = str(tally["scenes"]), f"{100 * tally['unambiguous'] / tally['scenes']:.0f} %"
+    yield _shares(report["kinds"])
+    yield _agreements(report["kinds"])
+    found = [(kind, why, n) for kind, tally in report["kinds"].items() for why, n in tally["rejected"].items()]
+    yield Table(
+        "rejections",
+        ["kind", "reason", "candidates"],
+        [(kind, reason, str(count)) for kind, reason, count in found],
+        [{"kind": kind, "reason": reason, "candidates": count} for kind, reason, count in found],
+        title="Rejections: candidates by the first rule that they violate",
+        labels=2,
+    )
+
+
+def _shares(kinds: dict[str, Any]) -> Table:
+    lines, records = [], []
+    for kind, tally in kinds.items():
+        scenes, clear = tally["scenes"], tally["unambiguous"]
         for row, name in enumerate(("edges", "step_labels")):
             total = sum(tally[name].values())
-            counted = [f"{100 * tally[name][of] / total:.1f} %" for of in NAMES]
-            first = ("", "", "") if row else (kind, scenes, clear)
-            shares.add_row(*first, name.replace("_", " "), *counted)
-    yield shares
-    agreement = Table(
-        "kind", "labels", "reference", "Cohen's kappa", *NAMES, title="Agreement of labels (precision / recall)"
-    )
-    for kind, tally in report["kinds"].items():
+            first = ("", "", "") if row else (kind, str(scenes), f"{100 * clear / scenes:.0f} %")
+            lines.append((*first, name.replace("_", " "), *(f"{100 * tally[name][of] / total:.1f} %" for of in NAMES)))
+            records.append({"kind": kind, "scenes": scenes, "unambiguous": clear, "labels": name, **tally[name]})
+    head = ["kind", "scenes", "unambiguous", "labels", *NAMES]
+    return Table("relations", head, lines, records, title="Relations: share of all ordered pairs", labels=1)
+
+
+def _agreements(kinds: dict[str, Any]) -> Table:
+    lines, records = [], []
+    for kind, tally in kinds.items():
         for name, labels, reference in (("rule_gold", "rules", "interventions"), ("hypothesis", "geometry", "edges")):
             found = tally[name]
             if found["labels"]:
                 scores = [f"{_shown(found['precision'][of])} / {_shown(found['recall'][of])}" for of in NAMES]
-                agreement.add_row(kind, labels, reference, _shown(found["kappa"]), *scores)
-    yield agreement
-    rejected = Table("kind", "reason", "candidates", title="Rejections: candidates by the first rule that they violate")
-    for kind, tally in report["kinds"].items():
-        for reason, count in tally["rejected"].items():
-            rejected.add_row(kind, reason, str(count))
-    yield rejected
+                lines.append((kind, labels, reference, _shown(found["kappa"]), *scores))
+                measured = {f"{score}_{of}": found[score][of] for score in ("precision", "recall") for of in NAMES}
+                compared = {"kind": kind, "labels": labels, "reference": reference, "kappa": found["kappa"]}
+                records.append(compared | measured)
+    head = ["kind", "labels", "reference", "Cohen's kappa", *NAMES]
+    return Table("agreement", head, lines, records, title="Agreement of labels (precision / recall)", labels=3)
 
 
 def _shown(value: float | None) -> str:

@@ -8,8 +8,9 @@ import pandas as pd
 import yaml
 
 from cosim.batch import group_statistics
-from cosim.batch.group_statistics import LEFT_TO_SUMO, MEASURES
+from cosim.batch.group_statistics import MEASURES
 from cosim.batch.result_listing import groups_of, p_value
+from cosim.batch.spec import LEFT_TO_SUMO
 from cosim.batch.store import BatchStore
 from cosim.measures.statistics import Estimate, PairedTest
 from cosim.runs.run_tables import read_tables
@@ -149,7 +150,7 @@ def _episodes(store: BatchStore, groups: pd.DataFrame) -> list[dict[str, Any]]:
     found = []
     for _, row in worst_episodes(groups, SHOWN_EPISODES).iterrows():
         folder = store.run_folder(str(row["run"]))
-        view = episode_view(read_tables(folder), int(row["episode"]), str(row["driver"]))
+        view = episode_view(read_tables(folder), int(row["episode"]))
         found.append({"row": row, "folder": folder, "view": view, "data": script_of(view)})
     return found
 

@@ -65,15 +65,14 @@ class EpisodeView:
         return float(self.group["takeover_time"])
 
 
-def episode_view(tables: Mapping[str, pd.DataFrame], number: int, driver: str | None = None) -> EpisodeView:
-    """Episode `number` of a run, by default as driven by its policy. Raises `InputError` for an unknown number."""
-    groups = tables["groups"]
-    driver = driver or str(groups["driver"].iloc[0])
-    found = groups[(groups["episode"] == number) & (groups["driver"] == driver)]
+def episode_view(tables: Mapping[str, pd.DataFrame], number: int, *, counterpart: bool = False) -> EpisodeView:
+    """Episode `number` of a run, or its counterpart, as arrays. Raises `InputError` for an unknown number."""
+    groups, steps = tables["counterparts" if counterpart else "groups"], tables["steps"]
+    found = groups[groups["episode"] == number]
     if not len(found):
-        known = groups.loc[groups["driver"] == driver, "episode"]
+        known = groups["episode"]
         raise InputError(f"--episode: got {number}, this run has the episodes {known.min()} to {known.max()}")
-    rows = _rows_of(tables["steps"], number, driver).sort_values(["time", "role"])
+    rows = steps[(steps["episode"] == number) & (steps["counterpart"] == counterpart)].sort_values(["time", "role"])
     shape = (len(rows) // ROLES, ROLES)
 
     def wide(column: str) -> np.ndarray:
@@ -81,7 +80,7 @@ def episode_view(tables: Mapping[str, pd.DataFrame], number: int, driver: str | 
 
     return EpisodeView(
         number=number,
-        driver=driver,
+        driver=str(found["driver"].iloc[0]),
         group={str(key): value for key, value in found.iloc[0].to_dict().items()},
         time=wide("time")[:, 0],
         state=np.stack([wide(name) for name in COLUMNS], -1),
@@ -90,15 +89,11 @@ def episode_view(tables: Mapping[str, pd.DataFrame], number: int, driver: str | 
         during_drive=wide("during_drive")[:, 0],
         gap=wide("gap"),
         ttc=wide("ttc"),
-        inferred_edges=_inferred_edges(tables, number, driver),
+        inferred_edges=() if counterpart else _inferred_edges(tables["graphs"], number),
     )
 
 
-def _rows_of(table: pd.DataFrame, number: int, driver: str) -> pd.DataFrame:
-    return table[(table["episode"] == number) & (table["driver"] == driver)]
-
-
-def _inferred_edges(tables: Mapping[str, pd.DataFrame], number: int, driver: str) -> tuple[InferredEdge, ...]:
+def _inferred_edges(graphs: pd.DataFrame, number: int) -> tuple[InferredEdge, ...]:
     columns = ["time", "sender", "receiver", "type", "probability"]
-    rows = _rows_of(tables["graphs"], number, driver)[columns].to_numpy().tolist()
+    rows = graphs.loc[graphs["episode"] == number, columns].to_numpy().tolist()
     return tuple(InferredEdge(float(time), int(i), int(j), str(kind), float(p)) for time, i, j, kind, p in rows)

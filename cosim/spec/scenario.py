@@ -30,13 +30,12 @@ from cosim.spec.demand import (
 from cosim.spec.perturbations import CHANGES_DEMAND, Perturbation
 from cosim.spec.work import Work, entering, refuse_too_much
 
-Seed = Annotated[int, Meta(ge=0, lt=2**31)]  # SUMO's seeds have 31 bits
-Step = Annotated[float, Meta(ge=0.001, le=10)]  # [s]; SUMO counts in milliseconds
-
-
+AFTERMATH = 10.0  # [s] after the hand-back of a group in which its contacts still count
 DECISION_LIMIT = 30.0  # [s] of real time for one decision of a policy of the user
 MAX_WORK = 1.0  # times the usual limits
 MOST_AT_ONCE = 5_000  # vehicles in the study area whose history is kept, at most
+Seed = Annotated[int, Meta(ge=0, lt=2**31)]  # SUMO's seeds have 31 bits
+Step = Annotated[float, Meta(ge=0.001, le=10)]  # [s]; SUMO counts in milliseconds
 
 
 class Road(Spec, frozen=True, kw_only=True):
@@ -211,7 +210,7 @@ class Scenario(Spec, frozen=True, kw_only=True):
     step: Step = 0.2
     history: PositiveDuration = 5.0
     horizon: PositiveDuration = 8.0
-    watch: Duration = 10.0
+    watch: Duration = AFTERMATH
     rest: Duration = 2.0
     episodes: Annotated[int, Meta(ge=1, le=1_000_000)] = 30
     groups_at_once: Annotated[int, Meta(ge=1, le=1000)] = 6

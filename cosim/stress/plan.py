@@ -17,8 +17,16 @@ from cosim.perturb.traffic_demand import perturbed_traffic
 from cosim.spec.input_files import checkpoint_path, find_net, sha256
 from cosim.spec.loading import override
 from cosim.spec.perturbations import KINDS, AggressiveDrivers, DenserDemand, LowFriction, MoreTrucks
-from cosim.spec.scenario import CarFollowing, ConstantVelocity, Driver, Idm, LeftToSumo, Scenario, TrainedPolicy
-from cosim.world.episode import AFTERMATH
+from cosim.spec.scenario import (
+    AFTERMATH,
+    CarFollowing,
+    ConstantVelocity,
+    Driver,
+    Idm,
+    LeftToSumo,
+    Scenario,
+    TrainedPolicy,
+)
 from gri.errors import InputError
 
 FORMAT = 4  # of the rows of a chunk; with a new number every chunk is computed again

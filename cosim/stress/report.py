@@ -1,14 +1,14 @@
 """The report of a stress test: Markdown tables and a figure per kind of perturbation."""
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 
 import numpy as np
 import pandas as pd
 
-from cosim.process.markdown_table import markdown_table
 from cosim.spec.perturbations import KINDS
 from cosim.stress.estimates import CELL, COMPARED, MEASURES
 from cosim.stress.plan import NOMINAL, TRAFFIC_KINDS
+from gri.table import markdown_table
 
 NOTES = """\
 Each value is over the n counted starts of its row. Infeasible starts do not count, nor do interrupted ones, in which
@@ -42,10 +42,10 @@ def stress_report(
         parts += [f"## {kind}\n", _introduction(kind)]
         if kind in figures:
             parts.append(f"![Measures over the intensity of {kind}](figures/{kind}.png)\n")
-        parts.append("\n".join(_estimates_table(shown, counts, estimates)) + "\n")
+        parts.append(_estimates_table(shown, counts, estimates))
         if len(differences):
             first = str(differences["against"].iloc[0])
-            parts += [PAIRED.format(first=first), "\n".join(_differences_table(shown, differences)) + "\n"]
+            parts += [PAIRED.format(first=first), _differences_table(shown, differences)]
     return "\n".join(parts)
 
 
@@ -60,7 +60,7 @@ def _unit(unit: str) -> str:
     return f" [{unit}]" if unit else ""
 
 
-def _estimates_table(kinds: list[str], counts: pd.DataFrame, estimates: pd.DataFrame) -> Iterator[str]:
+def _estimates_table(kinds: list[str], counts: pd.DataFrame, estimates: pd.DataFrame) -> str:
     titles = [measure.title + _unit("%" if measure.share else measure.unit) for measure in MEASURES]
     head = ["intensity", "policy", "n", "infeasible", "interrupted", *titles, "contacts"]
     known = {(*_key(row), row["measure"]): (row["value"], row["low"], row["high"]) for _, row in estimates.iterrows()}
@@ -91,7 +91,7 @@ def _value(found: tuple[float, float, float] | None, scale: float) -> str:
     return f"{value:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
 
 
-def _differences_table(kinds: list[str], differences: pd.DataFrame) -> Iterator[str]:
+def _differences_table(kinds: list[str], differences: pd.DataFrame) -> str:
     compared = [measure for measure in MEASURES if measure.name in COMPARED]
     head = ["intensity", "policy", "n", *(m.title + _unit("%" if m.share else m.unit) for m in compared)]
     part, table = differences[differences["perturbation"].isin(kinds)], []

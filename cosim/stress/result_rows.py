@@ -10,9 +10,10 @@ from cosim.loop.intervention import GroupChange
 from cosim.measures import surrogate_safety
 from cosim.measures.surrogate_safety import Track
 from cosim.world.break_ups import do_the_same
-from cosim.world.episode import COLUMNS, INTERRUPTED, BrokenUpBy, Episode, LaneEntry
+from cosim.world.episode import INTERRUPTED, BrokenUpBy, Episode, LaneEntry
 from cosim.world.groups import SAME_LANE
 from cosim.world.outcome_columns import outcome_columns
+from cosim.world.safety import safety_measures, track_of_role
 from cosim.world.snapshot import Snapshot
 
 SUMO = "sumo"  # name of the policy that leaves the groups to SUMO
@@ -34,10 +35,9 @@ def result_row(
     group of the round is driven.
     """
     during = (episode.time > episode.group.time + 1e-6) & (episode.time <= episode.end + 1e-6)
-    own = [_track_of_role(episode, role)[during] for role in (0, 1)]
+    own = [track_of_role(episode, role)[during] for role in (0, 1)]
     names = [] if third_gone else [episode.group.ids[2]]
     names += [change.successor] if change.successor is not None else []
-    others = [_track_of_vehicle(trace, name, episode.end) for name in names]
     d = episode.feature("d")[episode.during_drive]
     return {
         "ending": episode.ending.value,
@@ -47,22 +47,15 @@ def result_row(
         "lane_entries": _written(episode.lane_entries),
         "drive_duration": episode.end - episode.group.time,
         "lateral_change": float(abs(d[-1, 1] - d[-1, 0]) - abs(d[0, 1] - d[0, 0])),
-        **surrogate_safety.conflicts([*own, *(track for track in others if len(track.time))], (0, 1)),
+        **safety_measures(episode, names),
         **surrogate_safety.comfort([own[role][1:] for role in driven if len(own[role].time) > 1] or own),
         **_effect_on_follower(episode, before, trace),
     }
 
 
-def _track_of_role(episode: Episode, role: int) -> Track:
-    """A vehicle of the group as recorded in the episode; while it is driven, with the acceleration of the dynamics."""
-    s, d, x, y, heading, v, a = (episode.state[:, role, COLUMNS.index(name)] for name in COLUMNS)
-    xy = np.stack([x, y], axis=1)
-    return Track(episode.time, s, d, v, a, xy, heading, float(episode.length[role]), float(episode.width[role]))
-
-
-def _track_of_vehicle(snapshots: Sequence[Snapshot], vehicle: str, until: float = np.inf) -> Track:
-    """A vehicle at all instants up to `until` [s] at which it is in a snapshot."""
-    found = [(now, now.ids.index(vehicle)) for now in snapshots if vehicle in now.ids and now.time <= until + 1e-6]
+def _track_of_vehicle(snapshots: Sequence[Snapshot], vehicle: str) -> Track:
+    """A vehicle at all instants at which it is in a snapshot."""
+    found = [(now, now.ids.index(vehicle)) for now in snapshots if vehicle in now.ids]
     time, s, d, v, a, heading = (
         np.array([getattr(now, name) if name == "time" else getattr(now, name)[row] for now, row in found])
         for name in ("time", "s", "d", "v", "a", "heading")

@@ -4,13 +4,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import pandas as pd
-from rich.markup import escape
-from rich.table import Table
 
 from cosim.runs.summary import DRIVER_NAMES
 from cosim.studies.distribution_plots import draw_distributions
 from cosim.studies.realism import Distance, distances, distances_frame
 from gri.errors import InputError
+from gri.table import NBSP, Table
 
 
 def write_realism_report(folder: Path, simulated: pd.DataFrame, recorded: pd.DataFrame) -> Table:
@@ -42,26 +41,28 @@ def _by_lane(simulated: pd.DataFrame, recorded: pd.DataFrame) -> dict[float, tup
 
 
 def _table(found: Sequence[Distance]) -> Table:
-    table = Table(
-        title="Simulated and recorded traffic: means and distances between distributions",
-        title_justify="left",
-        caption="Wasserstein distances are in the unit of the quantity, with 95 % intervals over vehicles. A floor is"
-        " the distance between two random halves of the recording.",
-        caption_justify="left",
-    )
-    for header in ("", "", "simulated", "recorded", "Wasserstein", "floor", "Jensen-Shannon", "floor"):
-        table.add_column(header, justify="right" if header else "left", no_wrap=True)
-    last = ""
+    lines, last = [], ""
     for d in found:
         w, js = d.wasserstein, d.jensen_shannon
-        table.add_row(
-            d.part if d.part != last else "",
-            escape(f"{d.quantity.label} [{d.quantity.unit}]"),
-            *(f"{mean:.2f}" for mean in d.means),
-            f"{w.value:.2f} ({w.low:.2f}, {w.high:.2f})",
-            f"{d.floor[0]:.2f}",
-            f"{js.value:.2f}",
-            f"{d.floor[1]:.2f}",
+        lines.append(
+            (
+                d.part if d.part != last else "",
+                f"{d.quantity.label} [{d.quantity.unit}]",
+                *(f"{mean:.2f}" for mean in d.means),
+                f"{w.value:.2f} ({w.low:.2f},{NBSP}{w.high:.2f})",
+                f"{d.floor[0]:.2f}",
+                f"{js.value:.2f}",
+                f"{d.floor[1]:.2f}",
+            )
         )
         last = d.part
-    return table
+    return Table(
+        "distances",
+        ("part", "quantity", "simulated", "recorded", "Wasserstein", "floor", "Jensen-Shannon", "floor"),
+        lines,
+        distances_frame(found).to_dict("records"),
+        title="Simulated and recorded traffic: means and distances between distributions",
+        note="Wasserstein distances are in the unit of the quantity, with 95 % intervals over vehicles. A floor is"
+        " the distance between two random halves of the recording.",
+        labels=2,
+    )

@@ -5,12 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from rich.markup import escape
-from rich.table import Table
 
 from cosim.runs.traffic_survey import Survey
 from cosim.spec.demand import Targets
 from cosim.spec.scenario import Scenario
+from gri.table import Table
 
 KMH_PER_MS = 3.6
 TRUCK_LENGTH = 7.0  # [m]; longer vehicles count as trucks
@@ -108,14 +107,16 @@ def targets_reached(targets: Targets, simulated: TrafficStatistics) -> bool:
 
 
 def statistics_table(name: str, scenario: Scenario, runs: Sequence[TrafficStatistics]) -> Table:
-    """The statistics for the terminal: one column per seed, and one with the targets if the scenario has some."""
-    table = Table(title=f"{name}: undisturbed traffic after the warm-up", title_justify="left")
+    """The statistics: one column per seed, and one with the targets if the scenario has some."""
     targets = scenario.traffic.targets
-    for header in ("", *(["target"] if targets else []), *(f"seed {run.seed}" for run in runs)):
-        table.add_column(header, justify="right" if header else "left", no_wrap=not header)
-    for label, target, values in _rows(targets, runs):
-        table.add_row(escape(label), *([target] if targets else []), *values)
-    return table
+    shown = ["target"] if targets else []
+    return Table(
+        name,
+        ["", *shown, *(f"seed {run.seed}" for run in runs)],
+        [[label, *([target] if shown else []), *values] for label, target, values in _rows(targets, runs)],
+        statistics_frame(runs).to_dict("records"),
+        title=f"{name}: undisturbed traffic after the warm-up",
+    )
 
 
 def _rows(targets: Targets | None, runs: Sequence[TrafficStatistics]) -> Iterator[tuple[str, str, list[str]]]:

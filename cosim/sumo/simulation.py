@@ -7,10 +7,13 @@ if `setSpeed` is called as well and the safety checks are off.
 """
 
 import math
+import os
+import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
+from tempfile import TemporaryFile
 
 import libsumo
 import numpy as np
@@ -203,7 +206,7 @@ def sumo(arguments: Sequence[str], log: Path) -> Iterator[Sumo]:
         raise SumoError("a simulation is already running in this process; run the second one in a process of its own")
     _running = True
     try:
-        libsumo.start(["sumo", *arguments])
+        _start(arguments)
         world = Sumo()
         try:
             yield world
@@ -213,6 +216,26 @@ def sumo(arguments: Sequence[str], log: Path) -> Iterator[Sumo]:
         raise SumoError(_native_message(error, log)) from error
     finally:
         _running = False
+
+
+def _start(arguments: Sequence[str]) -> None:
+    """Start SUMO. What it prints while it fails to start is in the SumoError: its error log is still empty then."""
+    sys.stderr.flush()
+    with TemporaryFile() as printed:
+        kept = os.dup(2)
+        os.dup2(printed.fileno(), 2)
+        try:
+            libsumo.start(["sumo", *arguments])
+        except _NATIVE_ERRORS as error:
+            printed.seek(0)
+            lines = [line.strip() for line in printed.read().decode(errors="replace").splitlines()]
+            errors = [line for line in lines if line.startswith("Error")]
+            raise SumoError("; ".join(errors[-3:]) or str(error)) from error
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
+            printed.seek(0)
+            os.write(2, printed.read())
 
 
 def version() -> str:

@@ -10,7 +10,8 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from cosim.world.episode import AFTERMATH, BrokenUpBy, Ending, Episode, LaneEntry
+from cosim.spec.scenario import AFTERMATH
+from cosim.world.episode import BrokenUpBy, Ending, Episode, LaneEntry
 from cosim.world.groups import SAME_LANE
 from cosim.world.snapshot import Snapshot
 

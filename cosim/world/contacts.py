@@ -5,7 +5,8 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from cosim.measures.collision_detection import overlapping_pairs
-from cosim.world.episode import AFTERMATH, CUTTER, OTHER, Contact
+from cosim.spec.scenario import AFTERMATH
+from cosim.world.episode import CUTTER, OTHER, Contact
 from cosim.world.snapshot import Snapshot, rows_of
 
 
@@ -21,19 +22,25 @@ def contacts_of(
     members = [{vehicle for vehicle, name in of.items() if name != CUTTER} for of in names]
     everyone = set().union(*members)
     found: list[dict[frozenset[str], Contact]] = [{} for _ in names]
-    for now in trace:
+    for before, now in zip((trace[0], *trace), trace, strict=False):
         rows = rows_of(now.ids, everyone)
         hits = overlapping_pairs(now.xy, now.heading, now.length, now.width, rows)
         for pair in sorted({tuple(sorted(hit)) for hit in hits.tolist()}):
             vehicles = frozenset(now.ids[row] for row in pair)
             for g, end in enumerate(ends):
                 if vehicles & members[g] and vehicles not in found[g] and now.time <= end + AFTERMATH + 1e-6:
-                    found[g][vehicles] = _contact(now, pair, names[g], end)
+                    found[g][vehicles] = _contact(before, now, pair, names[g], end)
     return [tuple(of.values()) for of in found]
 
 
-def _contact(now: Snapshot, pair: tuple[int, ...], names: Mapping[str, str], end: float) -> Contact:
-    rear, ahead = sorted(pair, key=lambda row: (now.s[row], now.ids[row]))
+def _contact(before: Snapshot, now: Snapshot, pair: tuple[int, ...], names: Mapping[str, str], end: float) -> Contact:
+    """The contact of the vehicles in two rows of `now`.
+
+    Which of both was farther back is read one step earlier: within a step, a fast vehicle can pass the other's front.
+    """
+    ids = [now.ids[row] for row in pair]
+    at = before if set(ids) <= before.row_of.keys() else now
+    rear, ahead = (now.row_of[vehicle] for vehicle in sorted(ids, key=lambda name: (at.s[at.row_of[name]], name)))
     velocity = now.v[[rear, ahead]] * np.array([np.cos(now.heading), np.sin(now.heading)])[:, [rear, ahead]]
     return Contact(
         time=now.time,

@@ -7,12 +7,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from cosim.measures.surrogate_safety import net_gap, time_to_collision
+from cosim.spec.scenario import AFTERMATH
 from cosim.world.groups import Group
 from cosim.world.snapshot import COLUMNS
 from cosim.world.surroundings import Surroundings
 from gri.core.graph import InteractionGraph
 
-AFTERMATH = 10.0  # [s] after the hand-back, the end of which a group is judged
 SUCCESS_HEADWAY = 2.0  # [m], the paper's δ_f (Sec. VI-E)
 
 
@@ -34,7 +34,6 @@ class Ending(StrEnum):
 INTERRUPTED = frozenset({Ending.CUT_IN, Ending.LANE_LEFT, Ending.LOST})
 ARRIVED = frozenset({Ending.HORIZON, Ending.MERGED})
 LEFT_ALONE = frozenset({"sumo", "recorded"})  # drivers of groups that no policy drove
-AFTERMATH = 10.0  # [s] after the hand-back of a group in which its contacts still count
 OTHER, CUTTER = "other", "cutter"  # names in `Contact.who`: outsiders, and a neighbour that was made to cut in
 
 

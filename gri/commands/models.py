@@ -6,12 +6,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 import typer
-from rich.markup import escape
-from rich.table import Table
 
 from gri import resources
 from gri.errors import InputError
-from gri.terminal import ProgressDisplay, console, next_command, say
+from gri.table import Table
+from gri.terminal import FormatOption, ProgressDisplay, next_command, say, show_tables
 
 if TYPE_CHECKING:
     from gri.data.store import Splits
@@ -131,6 +130,7 @@ def evaluate(
         typer.Option(help="Scene file of `gri ngsim scenes` or `cosim scenes` to use instead of the test scenes."),
     ] = None,
     split: Annotated[str | None, typer.Option(help="Split of the scene file to use; default: all scenes.")] = None,
+    table_format: FormatOption = "table",
 ) -> None:
     """Score a checkpoint on test scenes."""
     one_thread()
@@ -142,28 +142,27 @@ def evaluate(
     path = resources.find_checkpoint(path)
     model, made = checkpoint.load(path), checkpoint.provenance(path)
     config = _trained_with(path, made)
-    found = None
+    found, remarks = None, []
     if scene_file is None:
         test = _scenes(config, scenes).test
     elif config.data.scene_file_range is not None:
         test, found, drawn = scenes_to_test(scene_file, config.data.scene_file_range, split)
         if drawn:
-            say(f"left out: {drawn} scenes with drawn lateral motion, which are for training only")
+            remarks.append(f"left out: {drawn} scenes with drawn lateral motion, which are for training only")
     else:
         raise InputError(
             f"{path}: the checkpoint was trained on scenes of range {config.data.range}, and no scene file has such"
             " scenes; leave out --scene-file, or give a checkpoint of recorded traffic, of SUMO's traffic (sumo_*), or"
             " of scenes like SUMO's (us101, highway_merge)"
         )
-    console.print(_table(path.stem, evaluation.evaluate(model, test), len(test)))
+    tables = [_table(path.stem, evaluation.evaluate(model, test), len(test))]
     infers = model.encoder is not None
     if infers and found is not None and found.hypothesis is not None and found.unambiguous is not None:
         compared = compare_with_truth(
             evaluation.driving_graph(model, test).map, test.graph, found.hypothesis, found.unambiguous
         )
-        for table in truth_tables(compared, model.config.vocabulary):
-            console.print(table)
-    next_command("cosim --help")
+        tables += truth_tables(compared, model.config.vocabulary)
+    show_tables(tables, table_format, *remarks, then="cosim --help")
 
 
 def one_thread() -> None:
@@ -217,14 +216,20 @@ def _recorded(config: "TrainConfig", source: Path, folder: Path) -> "Splits":
 
 
 def _table(name: str, result: "Evaluation", scenes: int) -> Table:
-    table = Table("metric", "mean ± std over scenes", "95 % ±", title=escape(f"{name}, {scenes} test scenes"))
+    from gri.evaluation.true_relations import summary_record
+
     rows = {f"RMSE_{name} [{'m/s' if name == 'v' else 'm'}]": value for name, value in result.rmse.items()}
     rows["accuracy, 6 edges"] = result.accuracy
     rows["accuracy, 4 edges into driven vehicles"] = result.driven_accuracy
     if result.chain_accuracy is not None:
         rows[f"accuracy in {result.chain_accuracy.scenes} scenes with the paper's graph"] = result.chain_accuracy
-    for metric, value in rows.items():
-        table.add_row(escape(metric), str(value), f"{value.half_width:.4f}")
-    for kind, value in result.f1.items():
-        table.add_row(f"F1 of type {kind}", f"{value:.4f}", "")
-    return table
+    f1 = {f"F1 of type {kind}": value for kind, value in result.f1.items()}
+    return Table(
+        "evaluation",
+        ["metric", "mean ± std over scenes", "95 % ±"],
+        [[metric, str(value), f"{value.half_width:.4f}"] for metric, value in rows.items()]
+        + [[metric, f"{value:.4f}", ""] for metric, value in f1.items()],
+        [{"metric": metric, **summary_record(value)} for metric, value in rows.items()]
+        + [{"metric": metric, "mean": value} for metric, value in f1.items()],
+        title=f"{name}, {scenes} test scenes",
+    )

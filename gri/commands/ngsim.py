@@ -5,11 +5,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Column, Table
 
-from gri.terminal import ProgressDisplay, console, finite, next_command, say
+from gri.table import Table
+from gri.terminal import FormatOption, ProgressDisplay, finite, show_tables
 
 if TYPE_CHECKING:
     from gri.data.ngsim.defects import Quality
@@ -29,6 +27,7 @@ def inspect_command(
     file: Annotated[Path, typer.Argument(metavar="FILE", help="Official text or csv, plain, gzip or zip.")],
     site: SiteOption = None,
     json: Annotated[Path | None, typer.Option(help="JSON file to write the report to as well.")] = None,
+    table_format: FormatOption = "table",
 ) -> None:
     """Report what a file holds, and its defects."""
     import msgspec
@@ -37,13 +36,13 @@ def inspect_command(
 
     with ProgressDisplay() as progress:
         reports, unreadable = inspect(file, site, progress)
-    show(reports, unreadable, console)
+    remarks = []
     if json is not None:
         content = {"file": file.name, "unreadable rows": unreadable, "recordings": msgspec.to_builtins(reports)}
         json.parent.mkdir(parents=True, exist_ok=True)
         json.write_bytes(msgspec.json.format(msgspec.json.encode(content)) + b"\n")
-        say(f"wrote {json}")
-    next_command(f"gri ngsim scenes {file}")
+        remarks.append(f"wrote {json}")
+    show_tables(report_tables(reports, unreadable), table_format, *remarks, then=f"gri ngsim scenes {file}")
 
 
 @app.command()
@@ -59,6 +58,7 @@ def scenes(
     training_stride: Annotated[
         int, typer.Option(help="Steps of 0.2 s between training scenes of the same three vehicles.")
     ] = TRAINING_STRIDE,
+    table_format: FormatOption = "table",
 ) -> None:
     """Cut car-following and lane-changing scenes out of files."""
     from gri.data.ngsim.extract import extract
@@ -70,48 +70,55 @@ def scenes(
     ).checked()
     with ProgressDisplay() as progress:
         made = extract(files, out, rules, site=site, progress=progress)
-    console.print(scene_table(made))
-    if made.rejected.total():
-        console.print(rejection_table(made))
-    say(f"{sum(made.scenes.values())} scenes in {out}")
-    next_command(f"gri train ngsim_car_following --ngsim {out}")
-
-
-def show(reports: "Sequence[Quality]", unreadable: dict[str, int], to: Console) -> None:
-    """Print what the recordings hold, one row each, and the defects of all of them."""
-    sizes = Table(
-        Column("recording", no_wrap=True),
-        *("rows", "vehicles", "tracks"),
-        *(escape(heading) for heading in ("time [s]", "road [m]", "mean speed [m/s]")),
-        "lanes",
+    show_tables(
+        [scene_table(made), *([rejection_table(made)] if made.rejected.total() else [])],
+        table_format,
+        f"{sum(made.scenes.values())} scenes in {out}",
+        then=f"gri train ngsim_car_following --ngsim {out}",
     )
+
+
+def report_tables(reports: "Sequence[Quality]", unreadable: dict[str, int]) -> list[Table]:
+    """What the recordings hold, one line each, and the defects of all of them."""
+    lines, records = [], []
     for r in reports:
         lanes, road = ",".join(map(str, r.lanes)), f"{r.road[0]:.0f} to {r.road[1]:.0f}"
         counts = [str(value) for value in (r.rows, r.vehicles, r.tracks, r.seconds)]
-        sizes.add_row(escape(r.recording), *counts, road, str(r.speed), lanes)
-    to.print(sizes)
-    found = Table("defect", "rows or cases", "in recordings", title="Defects")
-    for name, count in unreadable.items():
-        found.add_row(escape(f"rows that are no numbers ({name})"), str(count), "")
+        lines.append([r.recording, *counts, road, str(r.speed), lanes])
+        sizes = {"recording": r.recording, "rows": r.rows, "vehicles": r.vehicles, "tracks": r.tracks}
+        places = {"road_from": r.road[0], "road_to": r.road[1], "mean_speed": r.speed, "lanes": lanes}
+        records.append(sizes | {"seconds": r.seconds} | places)
+    head = ["recording", "rows", "vehicles", "tracks", "time [s]", "road [m]", "mean speed [m/s]", "lanes"]
+    found: list[tuple[str, int, int | None]] = [
+        (f"rows that are no numbers ({name})", count, None) for name, count in unreadable.items()
+    ]
     for name in reports[0].defects:
         counts = [r.defects[name] for r in reports]
-        found.add_row(escape(name), str(sum(counts)), f"{sum(c > 0 for c in counts)} of {len(counts)}")
-    to.print(found)
+        found.append((name, sum(counts), sum(count > 0 for count in counts)))
+    defects = Table(
+        "defects",
+        ["defect", "rows or cases", "in recordings"],
+        [[name, str(n), "" if where is None else f"{where} of {len(reports)}"] for name, n, where in found],
+        [{"defect": name, "count": n, "recordings": where} for name, n, where in found],
+        title="Defects",
+    )
+    return [Table("recordings", head, lines, records), defects]
 
 
 def scene_table(made: "Extracted") -> Table:
     """Numbers of scenes by site, kind and split."""
-    table = Table("site", "kind", "train", "validation", "test", title="Scenes")
-    for site, kind in sorted({(site, kind) for site, kind, _ in made.scenes}):
-        counts = [str(made.scenes[site, kind, split]) for split in ("train", "validation", "test")]
-        table.add_row(escape(site), kind, *counts)
-    return table
+    head = ("site", "kind", "train", "validation", "test")
+    rows = [
+        (site, kind, *(made.scenes[site, kind, split] for split in head[2:]))
+        for site, kind in sorted({(site, kind) for site, kind, _ in made.scenes})
+    ]
+    records = [dict(zip(head, row, strict=True)) for row in rows]
+    return Table("scenes", head, [tuple(map(str, row)) for row in rows], records, title="Scenes", labels=2)
 
 
 def rejection_table(made: "Extracted") -> Table:
     """Numbers of rejected candidates, by kind and the first rule that they break."""
-    table = Table("kind", "reason", "candidates", title="Rejections")
-    for (kind, reason), count in sorted(made.rejected.items()):
-        if count:
-            table.add_row(kind, escape(reason), str(count))
-    return table
+    head = ("kind", "reason", "candidates")
+    rows = [(kind, reason, count) for (kind, reason), count in sorted(made.rejected.items()) if count]
+    records = [dict(zip(head, row, strict=True)) for row in rows]
+    return Table("rejections", head, [tuple(map(str, row)) for row in rows], records, title="Rejections", labels=2)

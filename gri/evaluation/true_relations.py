@@ -5,12 +5,12 @@ from dataclasses import dataclass
 
 import torch
 from jaxtyping import Bool, Int
-from rich.table import Table
 from torch import Tensor
 
 from gri.core.graph import Vocabulary
 from gri.evaluation import metrics
 from gri.evaluation.metrics import Summary
+from gri.table import Table
 
 
 @dataclass(frozen=True)
@@ -47,14 +47,26 @@ def compare_with_truth(
 
 
 def truth_tables(found: TruthComparison, vocabulary: Vocabulary) -> Iterator[Table]:
-    """The comparison as tables for the terminal."""
-    accuracy = Table("accuracy, 6 edges", "mean ± std over scenes", "95 % ±", title="Beside the simulator's truth")
-    for name, value in found.accuracy.items():
-        accuracy.add_row(name, str(value), f"{value.half_width:.4f}")
-    yield accuracy
+    """The comparison as tables."""
+    yield Table(
+        "truth",
+        ["accuracy, 6 edges", "mean ± std over scenes", "95 % ±"],
+        [[name, str(value), f"{value.half_width:.4f}"] for name, value in found.accuracy.items()],
+        [{"metric": name, **summary_record(value)} for name, value in found.accuracy.items()],
+        title="Beside the simulator's truth",
+    )
     for name, counts in found.confusion.items():
         names = [str(kind) for kind in vocabulary[: len(counts)]]
-        confusion = Table("true, inferred as", *names, title=f"Edges by type{name}")
-        for kind, row in zip(names, counts.tolist(), strict=True):
-            confusion.add_row(kind, *map(str, row))
-        yield confusion
+        rows = list(zip(names, counts.tolist(), strict=True))
+        yield Table(
+            f"confusion{name}",
+            ["true, inferred as", *names],
+            [[kind, *map(str, row)] for kind, row in rows],
+            [{"true": kind, **dict(zip(names, row, strict=True))} for kind, row in rows],
+            title=f"Edges by type{name}",
+        )
+
+
+def summary_record(value: Summary) -> dict[str, float]:
+    """The numbers of a summary for CSV and JSON."""
+    return {"mean": value.mean, "std": value.std, "half_width": value.half_width, "scenes": value.scenes}

@@ -12,8 +12,8 @@ from typing import Literal
 import pandas as pd
 
 from gri.evaluation.recorded_scores import pooled_rate
-from gri.paper.markdown import markdown_table
 from gri.paper.rows import Row, Scenario, published_row
+from gri.table import markdown_table
 
 NOTHING = "–"
 UNITS = {"x": "m", "y": "m", "v": "m/s"}

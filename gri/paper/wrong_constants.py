@@ -25,10 +25,10 @@ from gri.data.synthetic.optimal_followers import OptimalExpert
 from gri.errors import InputError
 from gri.networks.model import RelationalModel
 from gri.paper.job_cache import cached
-from gri.paper.markdown import markdown_table
 from gri.progress import Progress, no_progress
 from gri.rewards.car_following_features import FollowingConstants
 from gri.rewards.structured import AssumedReward, StructuredReward
+from gri.table import markdown_table
 from gri.training.grounded.constants_search import ConstantsSearch, search_constants
 from gri.training.grounded.reward_likelihood import scene_posterior
 from gri.training.grounded.settings import GroundedSettings

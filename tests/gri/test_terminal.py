@@ -4,7 +4,8 @@ import re
 
 import pytest
 
-from gri.terminal import ProgressDisplay, _clock, errors, next_command, say
+from gri.table import Table
+from gri.terminal import ProgressDisplay, _clock, errors, next_command, say, show_tables
 
 pytestmark = pytest.mark.skipif(errors.is_terminal, reason="lines are written where there is no terminal")
 
@@ -57,3 +58,13 @@ def test_square_brackets_are_text(capsys: pytest.CaptureFixture[str]):
     say("minimum gap [m]: 3")
     next_command("cosim run 'my [s].yaml'")
     assert capsys.readouterr().out == "minimum gap [m]: 3\nNext: cosim run 'my [s].yaml'\n"
+
+
+def test_formats_for_programs_leave_standard_output_to_the_table(capsys: pytest.CaptureFixture[str]):
+    table = Table("sizes", ["name", "size [m]"], [["a", "0.33"]], [{"name": "a", "size": 1 / 3}])
+    show_tables([table], "csv", "3 s", then="cosim list")
+    done = capsys.readouterr()
+    assert (done.out, done.err) == (f"name,size\na,{1 / 3!r}\n", "3 s\n")
+    show_tables([table], "table", "3 s", then="cosim list")
+    done = capsys.readouterr()
+    assert done.out.splitlines() == ["name  size [m]", "────  ────────", "a         0.33", "3 s", "Next: cosim list"]

@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 
 from cosim.batch import group_statistics
+from cosim.batch.spec import LEFT_TO_SUMO
 
 
 def row(policy: str, driver: str, vehicle: str, seed: int = 1, **changes) -> dict:
@@ -18,13 +19,16 @@ def row(policy: str, driver: str, vehicle: str, seed: int = 1, **changes) -> dic
 
 
 @pytest.fixture
+def counterparts() -> pd.DataFrame:
+    """Those of the starts a1, a2 and a3, as the runs of both policies recorded them."""
+    rows = [row(LEFT_TO_SUMO, "sumo", f"a{k}", mean_speed=8.0, run=f"{run}1") for run in "xy" for k in (1, 2, 3)]
+    return pd.DataFrame(rows)
+
+
+@pytest.fixture
 def groups() -> pd.DataFrame:
-    """Policies x and y on the starts a1, a2 and a3 (interrupted for x); both runs recorded the same counterparts."""
-    rows = []
-    for policy in ("x", "y"):
-        rows += [row(policy, "gri", "a1"), row(policy, "gri", "a2"), row(policy, "gri", "a3")]
-        rows += [row(policy, "sumo", f"a{k}", mean_speed=8.0) for k in (1, 2, 3)]
-    table = pd.DataFrame(rows)
+    """Policies x and y on the starts a1, a2 and a3 (interrupted for x)."""
+    table = pd.DataFrame([row(policy, "gri", f"a{k}") for policy in ("x", "y") for k in (1, 2, 3)])
     failed = ["completed", "order_kept", "completed_without_contact"]
     table.loc[[1, 2], failed] = False
     table.loc[1, ["contact", "ending", "min_gap"]] = [True, "contact", -1.0]
@@ -32,19 +36,15 @@ def groups() -> pd.DataFrame:
     return table
 
 
-def test_counterparts_become_a_policy_once_per_start(groups):
-    table = group_statistics.with_counterparts(groups)
-    assert table.groupby("policy").size().to_dict() == {"x": 3, "y": 3, group_statistics.LEFT_TO_SUMO: 3}
+def test_counterparts_stand_beside_the_policies_once_per_start(groups, counterparts):
+    table = group_statistics.with_counterparts(groups, counterparts)
+    assert table.groupby("policy").size().to_dict() == {"x": 3, "y": 3, LEFT_TO_SUMO: 3}
+    assert set(table.loc[table["policy"] != LEFT_TO_SUMO, "driver"]) == {"gri"}
 
 
-def test_a_run_left_to_sumo_as_a_whole_is_a_policy_like_any_other(groups):
-    null = pd.DataFrame([row("left", "sumo", "a1")])
-    table = group_statistics.with_counterparts(pd.concat([groups, null], ignore_index=True))
-    assert (table["policy"] == "left").sum() == 1
-
-
-def test_interrupted_groups_count_in_the_outcome_and_in_nothing_else(groups):
-    table = group_statistics.headline(group_statistics.with_counterparts(groups), ["policy"]).set_index("policy")
+def test_interrupted_groups_count_in_the_outcome_and_in_nothing_else(groups, counterparts):
+    table = group_statistics.headline(group_statistics.with_counterparts(groups, counterparts), ["policy"])
+    table = table.set_index("policy")
     assert (table.loc["x", "groups"], table.loc["x", "interrupted"]) == (3, 1)
     completed = table.loc["x", "completed_without_contact"]
     assert (completed.n, completed.value) == (3, pytest.approx(1 / 3))
@@ -53,11 +53,11 @@ def test_interrupted_groups_count_in_the_outcome_and_in_nothing_else(groups):
     # Wilson for 0 of 2: 0 to z²/2 / (1 + z²/2) with z = 1.96, which is 0.6576.
     assert (short.low, short.high) == pytest.approx((0.0, 0.6576), abs=1e-3)
     assert table.loc["y", "completed_without_contact"].value == 1.0
-    assert table.loc[group_statistics.LEFT_TO_SUMO, "mean_speed"].value == 8.0
+    assert table.loc[LEFT_TO_SUMO, "mean_speed"].value == 8.0
 
 
-def test_pairs_are_the_same_start_on_both_sides(groups):
-    table = group_statistics.with_counterparts(groups)
+def test_pairs_are_the_same_start_on_both_sides(groups, counterparts):
+    table = group_statistics.with_counterparts(groups, counterparts)
     first, second = group_statistics.paired_starts(table, "x", "y")
     assert first["vehicle_0"].tolist() == second["vehicle_0"].tolist() == ["a1", "a2"]
     assert set(first["policy"]) == {"x"}
@@ -68,19 +68,33 @@ def test_pairs_are_the_same_start_on_both_sides(groups):
     assert tests["short_ttc"].difference.value == 0.0
 
 
-def test_no_common_start_is_no_difference(groups):
-    table = group_statistics.with_counterparts(groups)
+def test_no_common_start_is_no_difference(groups, counterparts):
+    table = group_statistics.with_counterparts(groups, counterparts)
     tests = group_statistics.differences(table.assign(seed=np.where(table["policy"] == "x", 1, 2)), "x", "y")
     assert tests["completed"].difference.n == 0
     assert np.isnan(tests["completed"].p)
 
 
-def test_intensities_keep_their_own_pairs(groups):
-    table = group_statistics.with_counterparts(groups)
+def test_intensities_keep_their_own_pairs(groups, counterparts):
+    table = group_statistics.with_counterparts(groups, counterparts)
     perturbed = table[table["policy"].isin(["x", "y"])].assign(perturbation="braking", intensity=2.0)
     both = pd.concat([table, perturbed.assign(mean_speed=5.0)], ignore_index=True)
     first, second = group_statistics.paired_starts(both, "x", "y")
     assert len(first) == 4
     assert (first["intensity"].isna().to_numpy() == second["intensity"].isna().to_numpy()).all()
-    _, left = group_statistics.paired_starts(both, "x", group_statistics.LEFT_TO_SUMO)
-    assert set(left["policy"]) == {group_statistics.LEFT_TO_SUMO}
+    perturbed, left = group_statistics.paired_starts(both, "x", LEFT_TO_SUMO)
+    assert set(left["policy"]) == {LEFT_TO_SUMO}
+    assert set(left["perturbation"]) == {"nominal"}
+    assert set(perturbed["perturbation"]) == {"nominal", "braking"}
+
+
+def test_the_counterparts_of_perturbed_traffic_are_those_of_the_same_traffic(groups, counterparts):
+    """Other traffic may have a group of the same names at the same time: that is another start."""
+    wet = {"perturbation": "wet", "intensity": 0.3}
+    all_groups = pd.concat([groups, groups.assign(**wet)], ignore_index=True)
+    all_counterparts = pd.concat([counterparts, counterparts.assign(mean_speed=4.0, **wet)], ignore_index=True)
+    table = group_statistics.with_counterparts(all_groups, all_counterparts)
+    assert (table["policy"] == LEFT_TO_SUMO).sum() == 6
+    first, left = group_statistics.paired_starts(table, "y", LEFT_TO_SUMO)
+    assert first["perturbation"].tolist() == left["perturbation"].tolist() == ["nominal"] * 3 + ["wet"] * 3
+    assert left["mean_speed"].tolist() == [8.0] * 3 + [4.0] * 3

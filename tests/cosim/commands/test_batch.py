@@ -48,6 +48,11 @@ def test_pandas_reads_the_tables_as_they_are(short):
     groups = pd.read_parquet(short / "two/groups")
     assert {"run", "scenario", "policy", "perturbation", "intensity", "variant", "seed", "driver"} <= set(groups)
     assert groups.groupby("policy")["run"].nunique().to_dict() == {"gri": 2, "idm": 2}
+    assert set(groups["driver"]) == {"gri", "idm"}
+    assert groups.loc[groups["policy"] == "gri", "edge_1_0"].notna().all()
+    counterparts = pd.read_parquet(short / "two/counterparts")
+    assert set(counterparts["policy"]) == {"left to SUMO"}
+    assert len(counterparts) == len(groups)
     steps = pd.read_parquet(short / "two/steps", filters=[("run", "==", groups["run"].iloc[0])])
     assert steps["episode"].nunique() == (groups["run"] == groups["run"].iloc[0]).sum()
 

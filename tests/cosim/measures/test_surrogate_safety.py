@@ -111,8 +111,9 @@ def _outline(x, y, heading) -> np.ndarray:
 def test_comfort_by_hand():
     braking = track(0.0, 10.0, time=[0, 0.5, 1, 1.5, 2], a=[0, -5, -5, -1, -6])
     assert surrogate_safety.jerk(braking).tolist() == [-10, 0, 8, -10]
-    assert surrogate_safety.hard_brakings(braking) == 2
-    assert surrogate_safety.hard_brakings(track(0.0, 10.0, a=-5.0)) == 1
+    assert surrogate_safety.brakings(braking) == 2
+    assert surrogate_safety.brakings(track(0.0, 10.0, a=-5.0)) == 1
+    assert surrogate_safety.brakings(braking, 0.5) == 1, "the vehicle brakes on from 0.5 s to the end"
 
 
 def test_lateral_change_and_effect_by_hand():
@@ -122,14 +123,53 @@ def test_lateral_change_and_effect_by_hand():
     assert effect == {"follower_min_acceleration": -3.0, "follower_speed_loss": 3.0}
 
 
-def test_conflicts_are_the_worst_of_all_pairs_with_a_concerned_vehicle():
+def test_conflicts_are_the_worst_of_all_pairs_with_a_driven_vehicle_behind():
     tracks = (track(0.0, 15.0), track(30.0, 10.0), track(50.0, 10.0))
     found = surrogate_safety.conflicts(tracks, (0, 1))
     assert found["min_ttc"] == 5.0
     assert found["max_drac"] == 0.5
     assert found["min_gap"] == 15.0
+    assert found["min_distance"] == 15.0
     assert found["min_headway"] == 2.0
-    assert surrogate_safety.conflicts(tracks, (2,))["min_ttc"] == 9.0  # 0 behind 2: 50 − 5 m net, closing at 5 m/s
+    assert surrogate_safety.conflicts(tracks[:2], (1,))["min_ttc"] == np.inf, "0 runs into 1, which is not its doing"
+    assert surrogate_safety.conflicts((tracks[0], tracks[2]), (0,))["min_ttc"] == 9.0  # 50 − 5 m net, at 5 m/s
+
+
+def test_the_pair_of_the_second_and_the_first_leader_counts_as_any_other():
+    """1 closes up on 2 with 5 m/s over 15 m; 0 keeps behind 1."""
+    tracks = (track(0.0, 15.0), track(30.0, 15.0), track(50.0, 10.0))
+    assert surrogate_safety.conflicts(tracks, (0, 1))["min_ttc"] == 3.0
+
+
+def test_vehicles_outside_the_group_have_measures_of_their_own():
+    """A standing vehicle 20 m net ahead of 0, which drives 10 m/s: TTC 2 s, DRAC 100/40; 1 m beside 1: distance 1 m."""
+    time = np.arange(0, 3.1, 0.5)
+    member, beside = track(10 * time, 10.0, time=time), track(200 + 10 * time, 10.0, time=time)
+    others = (
+        track(25.0, 0.0, time=time),
+        track(195 + 10 * time, 10.0, 3.0, time=time),
+        track(5.0, 0.0, time=time + 99),
+    )
+    found = surrogate_safety.conflicts((member, beside), (0, 1), others)
+    alone = surrogate_safety.conflicts((member, beside), (0, 1))
+    assert {name: value for name, value in found.items() if not name.endswith("_to_others")} == {
+        name: value for name, value in alone.items() if not name.endswith("_to_others")
+    }
+    assert surrogate_safety.conflicts((member[:1], beside[:1]), (0, 1), others)["min_ttc_to_others"] == 2.0
+    assert surrogate_safety.conflicts((member[:1], beside[:1]), (0, 1), others)["max_drac_to_others"] == 2.5
+    assert found["min_ttc_to_others"] == 0.0, "it drives into the standing vehicle at 2 s"
+    assert found["min_pet_to_others"] == 0.0
+    assert surrogate_safety.conflicts((beside,), (0,), others)["min_distance_to_others"] == pytest.approx(1.0)
+    assert surrogate_safety.conflicts((beside,), (0,), others)["min_ttc_to_others"] == np.inf
+
+
+@given(st.floats(-60, 60), st.floats(-4, 4), st.floats(0, 20))
+def test_what_is_sorted_out_before_pet_has_none(s, d, v):
+    time = np.arange(0, 4.1, 0.2)
+    one, other = track(12 * time, 12.0, time=time), track(s + v * time, v, d + 0.1 * time, time=time)
+    for second, first in ((one, other), (other, one)):
+        if not surrogate_safety._paths_may_cross(second, first):
+            assert surrogate_safety.pet(second, first) == np.inf
 
 
 def test_conflicts_are_looked_for_only_while_both_are_there():
@@ -142,7 +182,10 @@ def test_conflicts_are_looked_for_only_while_both_are_there():
 def test_comfort_of_several_vehicles():
     calm, braking = track(0.0, 1.0, time=[0, 1, 2]), track(0.0, 1.0, time=[0, 1, 2], a=[0, -6, 0])
     found = surrogate_safety.comfort((calm, braking))
-    assert found == {"jerk_50": 3.0, "jerk_95": 6.0, "jerk_99": 6.0, "min_acceleration": -6.0, "hard_brakings": 1.0}
+    assert found == {
+        "jerk_50": 3.0, "jerk_95": 6.0, "jerk_99": 6.0, "min_acceleration": -6.0,
+        "brakings_2": 1.0, "brakings_3": 1.0, "hard_brakings": 1.0,
+    }  # fmt: skip
 
 
 def test_measures_do_not_depend_on_where_the_road_begins():

@@ -114,10 +114,10 @@ def test_braking_cannot_help():
 
 
 def test_the_vehicle_behind_counts_too():
-    """Slowed down to 2 m/s in front of 10 m/s, 3.9 m behind: 8²/16 = 4 m."""
+    """Slowed down to 2 m/s in front of 10 m/s: the gap closes by 8 m in the first second, then by 8²/16 = 4 m."""
     after = moved(100, v0=2)
-    assert judged(after, others=cars((100 - 5 - 3.9, 0, 10))) is Infeasible.UNAVOIDABLE
-    assert judged(after, others=cars((100 - 5 - 4.1, 0, 10))) is None
+    assert judged(after, others=cars((100 - 5 - 11.9, 0, 10))) is Infeasible.UNAVOIDABLE
+    assert judged(after, others=cars((100 - 5 - 12.1, 0, 10))) is None
 
 
 def test_who_was_removed_is_in_nobodys_way():

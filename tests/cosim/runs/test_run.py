@@ -48,9 +48,13 @@ def done(scenario, tmp_path_factory):
 
 def test_a_run_has_the_tables_of_its_folder(done):
     run, _ = done
-    for name in ("steps", "groups", "events", "graphs"):
+    for name in ("steps", "groups", "counterparts", "events", "graphs"):
         pd.testing.assert_frame_equal(getattr(run, name), pd.read_parquet(run.folder / f"{name}.parquet"))
-    assert set(run.groups["driver"]) == {"idm", "sumo"}
+    assert set(run.groups["driver"]) == {"idm"}
+    assert set(run.counterparts["driver"]) == {"sumo"}
+    vehicles = ["episode", "vehicle_0", "vehicle_1", "vehicle_2", "takeover_time"]
+    pd.testing.assert_frame_equal(run.counterparts[vehicles], run.groups[vehicles])
+    assert (run.steps["counterpart"] == (run.steps["driver"] == "sumo")).all()
     assert run.manifest["arguments"]["seed"] == 3
 
 

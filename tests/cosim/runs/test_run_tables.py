@@ -4,12 +4,15 @@ import json
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import torch
 
 from cosim.runs.episode_figure import most_eventful, picture
 from cosim.runs.run_folder import next_folder, run_folder
 from cosim.runs.run_tables import (
+    TABLES,
     events_table,
     graphs_table,
     groups_table,
@@ -20,7 +23,7 @@ from cosim.runs.run_tables import (
     write_manifest,
     write_tables,
 )
-from cosim.runs.summary import terminal_table
+from cosim.runs.summary import shortest_time, summary_records, summary_table
 from cosim.world.episode import COLUMNS, Ending, Episode, Event, EventKind
 from cosim.world.groups import Group
 from gri.core.graph import FOLLOWING, EdgeType, InteractionGraph
@@ -55,19 +58,21 @@ def episode(driver="gri", edges=CHAIN, ending=Ending.HORIZON, gap=15.0) -> Episo
 
 @pytest.fixture
 def tables():
-    episodes = [episode(), episode("sumo", edges=None)]
+    driven, left = [episode()], [episode("sumo", edges=None)]
     return {
-        "steps": steps_table(episodes),
-        "groups": groups_table(episodes, CHAIN),
-        "events": events_table(episodes),
-        "graphs": graphs_table(episodes),
+        "steps": steps_table(driven, left),
+        "groups": groups_table(driven, CHAIN),
+        "counterparts": groups_table(left, CHAIN),
+        "events": events_table(driven, left),
+        "graphs": graphs_table(driven),
     }
 
 
 def test_steps_have_a_row_per_instant_and_vehicle(tables):
     steps = tables["steps"]
     assert len(steps) == 2 * 21 * 3
-    first = steps[(steps["episode"] == 0) & (steps["time"] == 102.0)].set_index("role")
+    assert steps.groupby("counterpart")["driver"].unique().map(list).to_dict() == {False: ["gri"], True: ["sumo"]}
+    first = steps[~steps["counterpart"] & (steps["time"] == 102.0)].set_index("role")
     assert first["driven"].tolist() == [True, True, False]
     assert first["gap"].iloc[:2].tolist() == pytest.approx([15.0, 15.0])
     assert np.isnan(first["gap"].iloc[2])
@@ -77,14 +82,14 @@ def test_steps_have_a_row_per_instant_and_vehicle(tables):
 def test_labels_stand_in_front_and_none_is_missing(tables):
     table = labelled(tables["groups"], {"run": "ab12", "intensity": None, "seed": 3})
     assert list(table.columns[:4]) == ["run", "intensity", "seed", "episode"]
-    assert table["run"].tolist() == ["ab12", "ab12"]
+    assert table["run"].tolist() == ["ab12"]
     assert table["intensity"].isna().all()
     assert table["intensity"].dtype == float
     pd.testing.assert_frame_equal(table[tables["groups"].columns], tables["groups"])
 
 
 def test_groups_say_who_how_and_what_was_believed(tables):
-    driven, left = tables["groups"].iloc[0], tables["groups"].iloc[1]
+    driven, left = tables["groups"].iloc[0], tables["counterparts"].iloc[0]
     assert driven["drive_duration"] == pytest.approx(2.0)
     assert (driven["vehicle_0"], driven["vehicle_2"]) == ("a", "c")
     assert (driven["length_0"], driven["width_2"]) == (5.0, episode().width[2])
@@ -93,6 +98,9 @@ def test_groups_say_who_how_and_what_was_believed(tables):
     assert driven["edge_2_1_p"] == pytest.approx(1.0)
     assert driven["min_gap"] == pytest.approx(15.0)
     assert pd.isna(left["graph_as_expected"])
+    assert left["driver"] == "sumo"
+    assert left["episode"] == driven["episode"], "a counterpart has the number of its episode"
+    assert list(tables["groups"].columns) == list(tables["counterparts"].columns)
 
 
 def test_another_graph_is_not_as_expected():
@@ -115,6 +123,17 @@ def test_tables_survive_the_disk_and_repeat_byte_for_byte(tables, tmp_path):
     pd.testing.assert_frame_equal(read_tables(tmp_path / "one")["steps"], tables["steps"])
 
 
+@pytest.mark.parametrize("left", [[episode("sumo", edges=None)], []])
+def test_columns_have_the_same_types_in_every_run(tables, tmp_path, left):
+    """With a graph, without one, and without any row: a batch joins the tables of such runs."""
+    write_tables(tmp_path, tables | {"counterparts": groups_table(left, CHAIN) if left else tables["groups"].iloc[:0]})
+    groups, counterparts = (pq.read_schema(tmp_path / f"{name}.parquet") for name in ("groups", "counterparts"))
+    plain = {pa.large_string(): pa.string()}
+    assert {f.name: plain.get(f.type, f.type) for f in groups} == {
+        f.name: plain.get(f.type, f.type) for f in counterparts
+    }
+
+
 def test_manifest_names_versions_and_hashes(tables, tmp_path):
     write_tables(tmp_path, tables)
     net = tmp_path / "a.net.xml"
@@ -125,11 +144,19 @@ def test_manifest_names_versions_and_hashes(tables, tmp_path):
     assert content["versions"]["torch"] == torch.__version__
     # sha256 of the text <net/>, by `printf '<net/>' | sha256sum`
     assert content["inputs"]["net"]["sha256"].startswith("f5f6d4e9") or len(content["inputs"]["net"]["sha256"]) == 64
-    assert set(content["results"]) == {"steps.parquet", "groups.parquet", "events.parquet", "graphs.parquet"}
+    assert set(content["results"]) == {f"{name}.parquet" for name in TABLES}
 
 
 def test_reading_something_else_is_an_input_error(tmp_path):
     with pytest.raises(InputError, match=r"no steps.parquet in it; expected a run folder"):
+        read_tables(tmp_path)
+
+
+def test_a_run_of_an_older_version_is_refused(tables, tmp_path):
+    """Its table of groups also holds the counterparts, which would count as driven by the policy."""
+    write_tables(tmp_path, tables)
+    (tmp_path / "counterparts.parquet").unlink()
+    with pytest.raises(InputError, match=r"an older version wrote.*run the scenario again"):
         read_tables(tmp_path)
 
 
@@ -154,23 +181,33 @@ def test_next_folder_never_overwrites(tmp_path):
 
 
 def test_summary_counts_what_the_table_holds(tables):
-    table = terminal_table(tables["groups"])
-    cells = {row: list(column) for row, column in zip(("label", "gri", "sumo"), _columns(table), strict=True)}
-    values = dict(zip(cells["label"], cells["gri"], strict=True))
+    table = summary_table(tables["groups"], tables["counterparts"])
+    labels, gri, sumo = (list(column) for column in zip(*table.lines, strict=True))
+    values = dict(zip(labels, gri, strict=True))
     assert values["groups"] == "1"
     assert values["completed without contact"] == values["  completed"] == values["  order kept"] == "1 of 1"
     assert values["inferred edges"] == "2→1 follow 100 %\n1→0 follow 100 %"
-    assert dict(zip(cells["label"], cells["sumo"], strict=True))["inferred edges"] == "-"
+    assert dict(zip(labels, sumo, strict=True))["inferred edges"] == "-"
 
 
-def _columns(table):
-    return [list(column.cells) for column in table.columns]
+def test_the_numbers_of_the_summary_are_those_of_the_table(tables):
+    groups = tables["groups"]
+    for record, (driver, part) in zip(summary_records(groups), groups.groupby("driver", sort=False), strict=True):
+        assert record["driver"] == driver
+        assert record["min_gap_min"] == part["min_gap"].min()
+        assert record["mean_speed_mean"] == part["mean_speed"].mean()
+        assert record["contact"] == part["contact"].sum()
+        assert record["ending_horizon"] == (part["ending"] == "horizon").sum()
+
+
+def test_long_times_to_collision_are_not_told_to_a_decimal():
+    assert [shortest_time(seconds) for seconds in (2343.8, float("inf"), 60.0, 0.04)] == ["> 60", "> 60", "60.0", "0.0"]
 
 
 @pytest.mark.parametrize("edges", [CHAIN, {}, {(0, 2): EdgeType.FOLLOW, (0, 1): EdgeType.FOLLOW}, None])
 def test_pictures_are_drawn_for_every_kind_of_graph(tmp_path, edges):
-    episodes = [episode(edges=edges), episode("sumo", edges=None)]
-    tables = {"steps": steps_table(episodes), "groups": groups_table(episodes, CHAIN)}
-    assert most_eventful(tables["groups"], tables["steps"]) == 0
+    driven = [episode(edges=edges)]
+    tables = {"steps": steps_table(driven, [episode("sumo", edges=None)]), "groups": groups_table(driven, CHAIN)}
+    assert most_eventful(tables["steps"]) == 0
     picture(tables, tmp_path / "a.png")
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cosim.runs.surroundings_table import EXACT, read_surroundings, write_surroundings
-from cosim.world.episode import AFTERMATH
+from cosim.spec.scenario import AFTERMATH
 from cosim.world.surroundings import REACH
 from gri.core.policy import IntelligentDriver
 

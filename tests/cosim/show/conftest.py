@@ -20,7 +20,8 @@ def tables() -> dict[str, pd.DataFrame]:
     gap = np.hstack([np.diff(s, axis=1) - 5.0, np.full((rows, 1), np.nan)])
     steps = pd.DataFrame(
         {
-            "episode": 0, "driver": "gri", "time": np.repeat(time, 3), "role": np.tile(np.arange(3), rows),
+            "episode": 0, "driver": "gri", "counterpart": False, "time": np.repeat(time, 3),
+            "role": np.tile(np.arange(3), rows),
             "present": True, "driven": (driven[:, None] & [True, True, False]).ravel(),
             "during_drive": np.repeat((time >= 1.0) & (time <= 4.0), 3), "gap": gap.ravel(), "ttc": np.inf,
             **{name: values.ravel() for name, values in wide.items()},

@@ -2,8 +2,9 @@
 
 import pytest
 
+from cosim.spec.scenario import AFTERMATH
 from cosim.world.contacts import contacts_of
-from cosim.world.episode import AFTERMATH, CUTTER, Contact, Ending, Outcome
+from cosim.world.episode import CUTTER, Contact, Ending, Outcome
 from tests.cosim.world.traffic import LANE, episode, snapshot
 
 NAMES = {"a": "0", "b": "1", "c": "2"}
@@ -24,6 +25,12 @@ def test_a_contact_from_behind_names_the_outsider_first():
     [contact] = found(snapshot(1.0, a=(16.0, 0.0, 0.0), b=(60.0, 0.0), c=(80.0, 0.0), x=(12.0, 0.5, 9.0)))
     assert (contact.who, contact.vehicles) == ("other→0", ("x", "a"))
     assert contact.speed_difference == pytest.approx(9.0)
+
+
+def test_a_vehicle_that_passes_the_others_front_within_a_step_still_came_from_behind():
+    before = snapshot(0.8, a=(14.0, 0.0, 40.0), b=(20.0, 0.0), c=(60.0, 0.0))
+    now = snapshot(1.0, a=(22.0, 0.0, 40.0), b=(21.0, 0.0), c=(60.0, 0.0))
+    assert [contact.who for contact in found(before, now)] == ["0→1"]
 
 
 def test_only_the_first_moment_of_a_pair_counts_and_boxes_beside_each_other_do_not_touch():

@@ -26,7 +26,7 @@ def test_accuracies_and_confusion_by_hand():
     assert means["most frequent, truth"] == pytest.approx(11 / 12)
     assert found.confusion[""].tolist() == [[7, 2], [0, 3]]
     assert found.confusion[", 1 unambiguous scenes"].tolist() == [[4, 0], [0, 2]]
-    assert [table.row_count for table in truth_tables(found, FOLLOWING)] == [8, 2, 2]
+    assert [len(table.lines) for table in truth_tables(found, FOLLOWING)] == [8, 2, 2]
 
 
 def test_without_unambiguous_scenes_only_all_are_compared():
