@@ -1,8 +1,9 @@
 """Read configurations: a YAML file becomes one frozen typed value; errors name the file, the line and the field."""
 
 import difflib
+import math
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -10,8 +11,10 @@ import msgspec
 import yaml
 
 from gri.errors import InputError
+from gri.yaml_content import read_content
 
 T = TypeVar("T")
+LONGEST_MESSAGE = 300  # characters of what is said about one field
 
 
 def read_yaml(path: Path | str, kind: type[T]) -> T:
@@ -25,19 +28,7 @@ def read_yaml(path: Path | str, kind: type[T]) -> T:
 
 def parsed(path: Path | str) -> Any:
     """The content of a YAML file as dicts, lists and numbers. Raises `InputError` as `read_yaml` does."""
-    text = _text(Path(path))
-    try:
-        content, tree = yaml.safe_load(text), yaml.compose(text)
-    except yaml.YAMLError as error:
-        mark = getattr(error, "problem_mark", None)
-        where = f":{mark.line + 1}" if mark else ""
-        reason = " ".join(str(getattr(error, "problem", error)).split())
-        raise InputError(f"{path}{where}: not valid YAML ({reason})") from error
-    except ValueError as error:  # an impossible date, such as 2026-02-30
-        raise InputError(f"{path}: not valid YAML ({error})") from error
-    for node, problem in _problems(tree):
-        raise InputError(f"{path}:{node.start_mark.line + 1}: {problem}")
-    return content
+    return read_content(Path(path))[0]
 
 
 def typed(content: Any, kind: type[T], path: Path | str) -> T:
@@ -50,12 +41,25 @@ def checked(content: Any, kind: Any, path: Path | str, under: Sequence[str] = ()
 
     Raises `InputError`, which names `path`, the line and the field.
     """
+    for fields, value in unbounded_numbers(content):
+        raise located(path, (*under, *fields), f"got {value}, expected a finite number")
     try:
         return msgspec.convert(content, kind)
-    except msgspec.ValidationError as error:
-        raise InputError(_explained(str(error), kind, path, under)) from error
-    except OverflowError as error:
-        raise located(path, under, f"it has a number that is too large ({error}); give a smaller one") from error
+    except (msgspec.ValidationError, OverflowError, RecursionError) as error:
+        raise InputError(_explained(str(error), content, kind, path, under)) from error
+
+
+def unbounded_numbers(content: Any) -> Iterator[tuple[tuple[str, ...], float]]:
+    """The numbers of plain content that are not finite, each after its fields; ranges of fields let nan through."""
+    waiting: list[tuple[tuple[str, ...], Any]] = [((), content)]
+    while waiting:
+        fields, value = waiting.pop()
+        if isinstance(value, float) and not math.isfinite(value):
+            yield fields, value
+        if isinstance(value, Mapping):
+            waiting += [((*fields, str(name)), inside) for name, inside in value.items()]
+        elif isinstance(value, list | tuple):
+            waiting += [((*fields, f"[{k}]"), inside) for k, inside in enumerate(value)]
 
 
 def located(path: Path | str, fields: Sequence[str], problem: str) -> InputError:
@@ -65,47 +69,25 @@ def located(path: Path | str, fields: Sequence[str], problem: str) -> InputError
     return InputError(f"{path}{f':{line}' if line else ''}: {f'field {name}: ' if name else ''}{problem}")
 
 
-def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "not a text file"
-        raise InputError(f"{path}: cannot be read ({reason}); give the path of a YAML file") from error
-
-
-def _problems(root: yaml.Node | None) -> Iterator[tuple[yaml.Node, str]]:
-    """What YAML allows and a configuration must not have, with the place in the file.
-
-    These are repeated keys (loaders silently keep the last one), numbers that are not finite, and content that contains
-    itself.
-    """
-    waiting: list[tuple[yaml.Node, tuple[yaml.Node, ...]]] = [] if root is None else [(root, ())]
-    while waiting:
-        node, above = waiting.pop()
-        if node in above:
-            yield node, "an alias refers to content that contains it; write the values out"
-            return
-        if node.tag == "tag:yaml.org,2002:float" and node.value.lower().lstrip("+-") in (".inf", ".nan"):
-            yield node, f"got {node.value}, expected a finite number"
-        inside = []
-        if isinstance(node, yaml.MappingNode):
-            keys = [key.value for key, _ in node.value if isinstance(key, yaml.ScalarNode)]
-            for key, value in node.value:
-                if isinstance(key, yaml.ScalarNode) and keys.count(key.value) > 1:
-                    yield key, f"field {key.value} is given twice; keep one"
-                inside.append(value)
-        elif isinstance(node, yaml.SequenceNode):
-            inside = node.value
-        waiting += [(child, (*above, node)) for child in reversed(inside)]
-
-
-def _explained(message: str, kind: Any, path: Path | str, under: Sequence[str]) -> str:
+def _explained(message: str, content: Any, kind: Any, path: Path | str, under: Sequence[str]) -> str:
     """msgspec's message as `file:line: field name: what is wrong; what to do`."""
     found = re.search(r" - at `(?:key in )?\$\.?([^`]*)`", message)
-    fields = [*under, *(re.split(r"\.|(?=\[)", found[1]) if found and found[1] else [])]
+    inside = [*(re.split(r"\.|(?=\[)", found[1]) if found and found[1] else [])]
+    fields = [*under, *inside]
     unknown = re.search(r"unknown field `([^`]*)`", message)
     missing = re.search(r"missing required field `([^`]*)`", message)
-    problem, hint = message.split(" - at ")[0], "correct it"
+    problem, hint = " ".join(message.split(" - at `")[0].split()), "correct it"
+    if re.match(r"Expected `\w+` (of length )?[<>]", problem):
+        problem, hint = f"{problem}, got {_value_at(content, inside)!r}", "give a value in this range"
+    if "expected `str`, got `int`" in problem.lower():
+        hint = 'text that looks like a number needs quotes, such as "12"'
+    if "expected `bool`" in problem.lower():
+        hint = "write true or false"
+    if re.match(r"Invalid (enum )?value", problem) and (known := _known_values(kind, inside)):
+        close = difflib.get_close_matches(str(_value_at(content, inside)), known, n=1)
+        hint = f"did you mean {close[0]!r}?" if close else f"expected one of {', '.join(known)}"
+    if len(problem) > LONGEST_MESSAGE:
+        problem = f"{problem[:LONGEST_MESSAGE]}…"
     if unknown:
         close = difflib.get_close_matches(unknown[1], _field_names(kind), n=1)
         problem, hint = "unknown field", f"did you mean {close[0]!r}?" if close else "remove or correct it"
@@ -113,15 +95,42 @@ def _explained(message: str, kind: Any, path: Path | str, under: Sequence[str]) 
     return str(located(path, fields, f"{problem[:1].lower()}{problem[1:]}; {hint}"))
 
 
+def _value_at(content: Any, fields: Sequence[str]) -> Any:
+    """The part of plain content that a list of names such as ["policy", "kind"] or ["edges", "[0]"] leads to."""
+    for name in fields:
+        index = name.strip("[]")
+        if isinstance(content, list | tuple) and index.isdecimal() and int(index) < len(content):
+            content = content[int(index)]
+        else:
+            content = content.get(name) if isinstance(content, Mapping) else None
+    return content
+
+
+def _known_values(kind: Any, fields: Sequence[str]) -> list[str]:
+    """The words that a field of that name may have; of all fields with this name where several types have one."""
+    name = next((field for field in reversed(fields) if not field.startswith("[")), "")
+    known: dict[str, None] = {}
+    waiting = [definition.get("properties", {}).get(name, {}) for definition in _definitions(kind)]
+    while waiting:
+        schema = waiting.pop()
+        known |= {str(value): None for value in schema.get("enum", ())}
+        waiting += [*schema.get("anyOf", ()), *([schema["items"]] if isinstance(schema.get("items"), dict) else ())]
+    return list(known)
+
+
+def _definitions(kind: Any) -> list[dict[str, Any]]:
+    """The JSON schemas of all types that a value of that kind may contain."""
+    return list(msgspec.json.schema(kind).get("$defs", {}).values())
+
+
 def _field_names(kind: Any) -> list[str]:
     """All field names that a value of that kind may have, at any depth."""
-    definitions = msgspec.json.schema(kind).get("$defs", {}).values()
-    return sorted({name for definition in definitions for name in definition.get("properties", {})})
+    return sorted({name for definition in _definitions(kind) for name in definition.get("properties", {})})
 
 
 def _line(fields: list[str], path: Path) -> int | None:
     """The line of a field, counted from 1; of the innermost field that contains it, if the file does not have it."""
-    node = yaml.compose(_text(path))
+    _, node = read_content(path)
     line = None
     for field in fields:
         if isinstance(node, yaml.MappingNode):
@@ -130,6 +139,8 @@ def _line(fields: list[str], path: Path) -> int | None:
                 return line
             line, node = entry[0].start_mark.line + 1, entry[1]
         elif isinstance(node, yaml.SequenceNode) and (index := re.fullmatch(r"\[(\d+)\]", field)):
+            if int(index[1]) >= len(node.value):
+                return line
             node = node.value[int(index[1])]
             line = node.start_mark.line + 1
     return line

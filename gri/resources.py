@@ -22,13 +22,21 @@ def checkpoints() -> list[str]:
     return sorted(path.stem for path in (PACKAGE / "checkpoints").glob("*.pt"))
 
 
+def is_file(path: Path) -> bool:
+    """Whether there is a file of that path; a path that no system could have is none."""
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # too long, or with a character that no name has
+        return False
+
+
 def find_checkpoint(given: str | Path, field: str = "") -> Path:
     """The file of a checkpoint, given by its path or by the name of a released one; a file of that path comes first.
 
     Raises `InputError` if there is neither; the message begins with `field`, the field of a YAML file that named it.
     """
     for path in (Path(given), PACKAGE / "checkpoints" / f"{given}.pt"):
-        if path.is_file():
+        if is_file(path):
             return path
     where = f"{field}: " if field else ""
     raise InputError(

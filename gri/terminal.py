@@ -4,18 +4,20 @@
 `ProgressDisplay` shows how far long work is.
 """
 
+import math
 import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
-from typing import Annotated, NoReturn
+from typing import Annotated, Any, NoReturn
 
 import typer
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 from rich.text import Text
 
+from gri.errors import InputError
 from gri.table import WRITERS, Table, TableFormat, terminal_text
 
 console = Console(highlight=False)
@@ -69,6 +71,14 @@ def fail(message: str, code: int) -> NoReturn:
     """Write an error in one line and end the process with an exit code."""
     notice(f"error: {message}")
     sys.exit(code)
+
+
+def finite(value: Any) -> Any:
+    """The value of an option, for the `callback` of typer. Raises `InputError` for a number that is not finite."""
+    for number in value if isinstance(value, tuple) else (value,):
+        if isinstance(number, float) and not math.isfinite(number):
+            raise InputError(f"an option is {number}, expected a finite number; correct it")
+    return value
 
 
 def show_version(command: str) -> NoReturn:

@@ -14,9 +14,9 @@ from typing import Any
 import msgspec
 
 from cosim.batch.spec import NOMINAL, PLAIN, Batch, ExtraRun, Sweep
-from cosim.spec.input_files import input_files, sha256
-from cosim.spec.loading import find_file, load_scenario, traffic_content
-from cosim.spec.scenario import Driver, Scenario, tag_of
+from cosim.spec.input_files import input_files, refuse_foreign_code, sha256
+from cosim.spec.loading import files_beside, find_file, load_scenario, traffic_content
+from cosim.spec.scenario import MAX_WORK, Driver, Scenario, tag_of
 from gri.config import checked, located, parsed, typed
 from gri.errors import InputError
 
@@ -60,6 +60,7 @@ def load_batch(name: str) -> tuple[Batch, Path]:
     path = find_file(name, "scenarios/batch", "batch")
     content = parsed(path)
     if isinstance(content, dict):
+        content = _files_beside(content, path)
         for field, kind in (("policies", Driver), ("perturbations", Sweep), ("variants", dict)):
             entries = content.get(field)
             for key, entry in entries.items() if isinstance(entries, dict) else ():
@@ -67,9 +68,34 @@ def load_batch(name: str) -> tuple[Batch, Path]:
     return typed(content, Batch, path), path
 
 
-def expand(batch: Batch, path: Path) -> tuple[Run, ...]:
-    """All runs of a batch, in the order of its file. Raises `InputError` with the name of the field that is wrong."""
-    names = _KnownNames.of(batch, path)
+def _files_beside(content: dict[str, Any], path: Path) -> dict[str, Any]:
+    """The content of a batch file with the paths of the files beside it that its policies and changes name."""
+    result = {**content, "overrides": files_beside(content.get("overrides", {}), path)}
+    for field, enclosing in (("policies", "policy"), ("variants", None)):
+        if isinstance(entries := content.get(field), dict):
+            result[field] = {
+                name: files_beside(entry, path)
+                if enclosing is None
+                else files_beside({enclosing: entry}, path)[enclosing]
+                for name, entry in entries.items()
+            }
+    return result
+
+
+def refuse_foreign_code_of(batch: Batch, path: Path, allowed: bool) -> None:
+    """Raise `InputError` where the batch, or one of its scenarios, names code outside its own folder."""
+    refuse_foreign_code(msgspec.to_builtins(batch), path, allowed)
+    for name in batch.scenarios:
+        file = find_file(name, "scenarios", "scenario", beside=path)
+        refuse_foreign_code(files_beside(parsed(file), file), file, allowed)
+
+
+def expand(batch: Batch, path: Path, max_work: float | None = None) -> tuple[Run, ...]:
+    """All runs of a batch, in the order of its file. Raises `InputError` with the name of the field that is wrong.
+
+    `max_work` takes the place of that of all scenarios.
+    """
+    names = _KnownNames.of(batch, path, max_work if max_work is not None else batch.overrides.get("max_work"))
     matrix = _Matrix(batch, path, names)
     exclusions = _exclusions(batch, path, names)
     cells = {cell: None for cell in matrix.cells() if not any(_matches(cell, given) for given in exclusions)}
@@ -87,12 +113,24 @@ def key_of(scenario: Scenario, labels: Mapping[str, Any]) -> str:
     """SHA-256 of everything on which the results of a run depend: scenario, its input files, labels and versions."""
     facts = {
         "format": FORMAT,
-        "scenario": msgspec.to_builtins(msgspec.structs.replace(scenario, description="")),
+        "scenario": _without_folders(msgspec.to_builtins(scenario)) | {"description": "", "max_work": MAX_WORK},
         "labels": dict(labels),
         "inputs": {name: _sha256(path) for name, path in input_files(scenario).items()},
         "versions": {name: version(name) for name in PACKAGES},
     }
     return hashlib.sha256(msgspec.json.encode(facts, order="sorted")).hexdigest()
+
+
+def _without_folders(content: dict[str, Any]) -> dict[str, Any]:
+    """A scenario that names its files without their folders; what counts is their content."""
+    policy = {
+        name: Path(value).name if name in ("checkpoint", "object") else value
+        for name, value in content["policy"].items()
+    }
+    background = {
+        name: Path(value).name if name == "recording" else value for name, value in content["background"].items()
+    }
+    return {**content, "net": Path(content["net"]).name, "policy": policy, "background": background}
 
 
 _sha256 = cache(sha256)
@@ -117,7 +155,7 @@ class _KnownNames:
     variants: tuple[str, ...]
 
     @classmethod
-    def of(cls, batch: Batch, path: Path) -> "_KnownNames":
+    def of(cls, batch: Batch, path: Path, max_work: float | None) -> "_KnownNames":
         scenarios = {}
         for k, name in enumerate(batch.scenarios):
             where = ("scenarios", f"[{k}]")
@@ -125,7 +163,7 @@ class _KnownNames:
             if label in scenarios:
                 raise located(path, where, f"two scenarios have the name {label!r}; remove one, or rename its file")
             with _naming_field(path, where):
-                own = load_scenario(name, beside=path)
+                own = load_scenario(name, beside=path, max_work=max_work)
                 scenarios[label] = msgspec.structs.replace(own, surroundings=False)  # large; `overrides` can turn it on
         nominal = (NOMINAL,) if batch.nominal else ()
         return cls(

@@ -5,15 +5,18 @@ without those that `exclude` matches, plus those that `include` lists. `cosim.ba
 checked scenarios.
 """
 
+from collections import Counter
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 import msgspec
 from msgspec import Meta, field
 
-from cosim.spec.demand import Count, Name, Positive, Spec
+from cosim.spec.demand import Name, Place, PositivePeriod, Spec, Text
 from cosim.spec.scenario import Driver, Seed
 
-Intensities = Annotated[tuple[float, ...], Meta(min_length=1)]
+Intensities = Annotated[tuple[float, ...], Meta(min_length=1, max_length=1000)]
+MOST_SEEDS = 100_000
 NOMINAL = "nominal"  # name of the perturbation of a run without one
 PLAIN = "plain"  # name of the variant of a run without one
 LEFT_TO_SUMO = "left to SUMO"  # name of the policy of the counterparts
@@ -26,12 +29,23 @@ class Sweep(Spec, frozen=True, kw_only=True):
     intensities: Intensities
     settings: dict[str, Any] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        if repeated := _repeated(self.intensities):
+            raise ValueError(f"intensities has {repeated[0]:g} twice, expected each intensity once")
+
 
 class Seeds(Spec, frozen=True, kw_only=True):
     """`count` consecutive seeds, beginning with `first`."""
 
     first: Seed = 1
-    count: Count
+    count: Annotated[int, Meta(ge=1, le=MOST_SEEDS)]
+
+    def __post_init__(self) -> None:
+        if self.first + self.count > 2**31:
+            raise ValueError(
+                f"the last of {self.count} seeds from {self.first} is {self.first + self.count - 1}, but SUMO's seeds"
+                f" are below {2**31}; expected a smaller first or count"
+            )
 
 
 class ExtraRun(Spec, frozen=True, kw_only=True):
@@ -60,6 +74,11 @@ class Exclusion(Spec, frozen=True, kw_only=True):
     seed: Seed | None = None
 
 
+def _repeated(values: Sequence[float] | Sequence[int]) -> list[float]:
+    """The values that a list has more than once."""
+    return [value for value, count in Counter(values).items() if count > 1]
+
+
 class Batch(Spec, frozen=True, kw_only=True):
     """Many runs. `time_limit` is the wall-clock time per run [s]; a run that died is repeated up to `retries` times.
 
@@ -67,8 +86,8 @@ class Batch(Spec, frozen=True, kw_only=True):
     Each of the `variants` is a further set of such changes, and one value on an axis of the matrix.
     """
 
-    description: str = ""
-    scenarios: Annotated[tuple[str, ...], Meta(min_length=1)]
+    description: Text = ""
+    scenarios: Annotated[tuple[Place, ...], Meta(min_length=1)]
     policies: dict[Name, Driver] = field(default_factory=dict)
     nominal: bool = True
     perturbations: dict[Name, Sweep] = field(default_factory=dict)
@@ -77,8 +96,8 @@ class Batch(Spec, frozen=True, kw_only=True):
     variants: dict[Name, dict[str, Any]] = field(default_factory=dict)
     include: tuple[ExtraRun, ...] = ()
     exclude: tuple[Exclusion, ...] = ()
-    time_limit: Positive = 900.0
-    retries: Annotated[int, Meta(ge=0)] = 1
+    time_limit: PositivePeriod = 900.0
+    retries: Annotated[int, Meta(ge=0, le=100)] = 1
 
     def __post_init__(self) -> None:
         for name, taken in ((NOMINAL, self.perturbations), (PLAIN, self.variants)):
@@ -86,6 +105,8 @@ class Batch(Spec, frozen=True, kw_only=True):
                 raise ValueError(f"the name {name!r} is reserved for runs without one, expected another name")
         if not self.nominal and not self.perturbations:
             raise ValueError("nominal is false and there are no perturbations, expected at least one of the two")
+        if isinstance(self.seeds, tuple) and (repeated := _repeated(self.seeds)):
+            raise ValueError(f"seeds has {repeated[0]} twice, expected each seed once")
 
     def seed_list(self) -> tuple[int, ...] | None:
         """The seeds of the matrix; None: the seed of each scenario."""

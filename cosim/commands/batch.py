@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
+from cosim.commands.arguments import AllowCodeOption, MaxWorkOption
 from gri.errors import InputError
 from gri.terminal import FormatOption, ProgressDisplay, next_command, notice, say, show_tables
 
@@ -29,20 +30,23 @@ def batch(
     address: Annotated[str | None, typer.Option(help="Address of the Ray cluster; default: one started here.")] = None,
     only: Annotated[list[str] | None, typer.Option(help="Run only the run with this id; repeatable.")] = None,
     retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Run again what has failed.")] = False,
+    max_work: MaxWorkOption = None,
+    allow_code: AllowCodeOption = False,
 ) -> None:
     """Run all runs of a batch file that are not finished.
 
     The same command continues a batch that was stopped.
     """
-    from cosim.batch.run_matrix import expand, load_batch
+    from cosim.batch.run_matrix import expand, load_batch, refuse_foreign_code_of
 
     spec, path = load_batch(file)
-    runs = _chosen(expand(spec, path), only or [])
+    runs = _chosen(expand(spec, path, max_work), only or [])
     if dry_run:
         for run in runs:
             say(f"{run.id}  {run.cell}")
         say(f"{len(runs)} runs, none started.")
         return next_command(f"cosim batch {file}")
+    refuse_foreign_code_of(spec, path, allow_code)
     from cosim.batch.execute import execute
     from cosim.batch.store import BatchStore
     from cosim.process.worker_process import WorkerDeath, run_in_worker

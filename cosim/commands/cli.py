@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import msgspec
 import typer
 
-from cosim.commands.arguments import ScenarioArgument, SeedOption
+from cosim.commands.arguments import AllowCodeOption, MaxWorkOption, ScenarioArgument, SeedOption
 from cosim.commands.batch import batch, results
 from cosim.commands.new import new
 from cosim.commands.scenes import scenes
@@ -54,6 +54,8 @@ def run(
     episodes: Annotated[int | None, typer.Option(help="Number of episodes to use instead of the scenario's.")] = None,
     recording: Annotated[Path | None, typer.Option(help="The NGSIM file that the scenario replays.")] = None,
     out: Annotated[Path | None, typer.Option(help="Run folder to write; default: a new one in runs/.")] = None,
+    max_work: MaxWorkOption = None,
+    allow_code: AllowCodeOption = False,
     table_format: FormatOption = "table",
 ) -> None:
     """Take groups out of live traffic, drive them, hand them back.
@@ -62,16 +64,27 @@ def run(
     table compares it with the same groups left to SUMO. Other policies than the
     baselines are named in the scenario file, under `policy`.
     """
+    from cosim.spec.input_files import find_net
     from cosim.spec.loading import load_scenario
 
-    load_scenario(scenario)  # a mistake in it need not wait for torch, which the next imports bring
+    find_net(
+        load_scenario(scenario, max_work=max_work).net
+    )  # a mistake need not wait for torch, which the next imports bring
     from cosim.runs.run import run as run_scenario
     from cosim.runs.summary import summary_table
 
     began = time.monotonic()
     with ProgressDisplay() as progress:
         done = run_scenario(
-            scenario, baseline, seed=seed, episodes=episodes, recording=recording, folder=out, progress=progress
+            scenario,
+            baseline,
+            seed=seed,
+            episodes=episodes,
+            recording=recording,
+            overrides={} if max_work is None else {"max_work": max_work},
+            folder=out,
+            allow_code=allow_code,
+            progress=progress,
         )
     show_tables(
         [summary_table(done.groups, done.counterparts)],
@@ -79,6 +92,9 @@ def run(
         f"{time.monotonic() - began:.0f} s. Tables, manifest and picture: {done.folder}",
         then=f"cosim report {done.folder}" if baseline else f"cosim run {scenario} --baseline idm",
     )
+    if failures := done.policy_failures:
+        more = f" (and {len(failures) - 1} more groups)" if len(failures) > 1 else ""
+        fail(f"the policy failed; its groups count as not completed. {failures[0]}{more}", 1)
 
 
 for _command in (new, report, explain, render, gui, traffic, calibrate, realism, scenes, stress, batch, results):

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from cosim.commands.arguments import ScenarioArgument
-from gri.terminal import FormatOption, ProgressDisplay, notice, show_tables
+from cosim.commands.arguments import MaxWorkOption, ScenarioArgument
+from gri.terminal import FormatOption, ProgressDisplay, finite, notice, show_tables
 
 
 def scenes(
@@ -27,7 +27,8 @@ def scenes(
         typer.Option(min=1, help="Most scenes of each kind per seed; default: a tenth of --count, at most 250."),
     ] = None,
     step: Annotated[
-        float | None, typer.Option(help="Step of the simulation [s]; 0.2 s must be a multiple of it.")
+        float | None,
+        typer.Option(callback=finite, help="Step of the simulation [s]; 0.2 s must be a multiple of it."),
     ] = None,
     car_following: Annotated[
         str | None,
@@ -46,8 +47,10 @@ def scenes(
             " repeatable.",
         ),
     ] = None,
-    interaction: Annotated[float | None, typer.Option(help="Shortest time of interaction in a scene [s].")] = None,
-    spacing: Annotated[float | None, typer.Option(help="Greatest distance to the leader [m].")] = None,
+    interaction: Annotated[
+        float | None, typer.Option(callback=finite, help="Shortest time of interaction in a scene [s].")
+    ] = None,
+    spacing: Annotated[float | None, typer.Option(callback=finite, help="Greatest distance to the leader [m].")] = None,
     per_vehicle: Annotated[
         int | None, typer.Option(min=1, help="Most scenes of each kind that one vehicle may be in.")
     ] = None,
@@ -57,6 +60,7 @@ def scenes(
     workers: Annotated[
         int | None, typer.Option(min=1, help="Seeds simulated at a time; default: one per core.")
     ] = None,
+    max_work: MaxWorkOption = None,
     table_format: FormatOption = "table",
 ) -> None:
     """Make labelled three-vehicle scenes from simulated traffic.
@@ -66,7 +70,7 @@ def scenes(
     from cosim.commands.scene_options import changed, kinds_of, rules_of, with_car_following
     from cosim.spec.loading import load_scenario, override
 
-    seeded = override(load_scenario(scenario), {} if seed is None else {"seed": seed})
+    seeded = override(load_scenario(scenario, max_work=max_work), {} if seed is None else {"seed": seed})
     chosen = with_car_following(changed(seeded, scenario, step), car_following)
     rules = rules_of(
         strategic=not any_change, at_most=at_most or [], interaction=interaction, spacing=spacing,

@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from cosim.commands.arguments import ScenarioArgument
-from gri.terminal import ProgressDisplay, console, next_command, notice, say
+from cosim.commands.arguments import MaxWorkOption, ScenarioArgument
+from gri.terminal import ProgressDisplay, console, finite, next_command, notice, say
 
 
 def stress(
@@ -44,6 +44,7 @@ def stress(
     ] = 0.05,
     workers: Annotated[int, typer.Option(min=1, help="Simulations at a time.")] = 2,
     out: Annotated[Path | None, typer.Option(help="Folder of the results; default: runs/stress/SCENARIO.")] = None,
+    max_work: MaxWorkOption = None,
 ) -> None:
     """Compare policies on the same groups under perturbations.
 
@@ -53,7 +54,7 @@ def stress(
     from cosim.spec.loading import load_scenario
     from cosim.stress.plan import chunks, policies_of, sweeps_of
 
-    chosen = load_scenario(scenario)
+    chosen = load_scenario(scenario, max_work=max_work)
     grades = _numbers(intensity)
     sweeps = sweeps_of(_words(perturbation), grades, chosen)
     policies = policies_of(_words(policy), chosen)
@@ -95,9 +96,11 @@ def _words(text: str) -> list[str]:
 
 
 def _numbers(text: str) -> list[float]:
-    try:
-        return [float(word) for word in _words(text)]
-    except ValueError:
-        from gri.errors import InputError
+    from gri.errors import InputError
 
+    try:
+        return [finite(float(word)) for word in _words(text)]
+    except InputError:
+        raise InputError(f"--intensity: got {text!r}, expected finite numbers") from None
+    except ValueError:
         raise InputError(f"--intensity: got {text!r}, expected numbers separated by commas") from None

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cosim.commands.arguments import DurationOption, ScenarioArgument, SeedOption, WorkersOption
+from cosim.commands.arguments import DurationOption, MaxWorkOption, ScenarioArgument, SeedOption, WorkersOption
 from gri.errors import InputError
-from gri.terminal import FormatOption, ProgressDisplay, ShowProgress, show_tables
+from gri.terminal import FormatOption, ProgressDisplay, ShowProgress, finite, show_tables
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -29,6 +29,7 @@ def traffic(
     seed: SeedOption = None,
     seeds: Annotated[int, typer.Option(min=1, help="Number of seeds, counted up from the scenario's.")] = 1,
     duration: DurationOption = 600,
+    max_work: MaxWorkOption = None,
     table_format: FormatOption = "table",
 ) -> None:
     """Simulate the traffic alone and compare it with targets.
@@ -39,7 +40,7 @@ def traffic(
     from cosim.spec.loading import load_scenario, override
 
     chosen = [
-        override(_simulated(load_scenario(name), name), {} if seed is None else {"seed": seed})
+        override(_simulated(load_scenario(name, max_work=max_work), name), {} if seed is None else {"seed": seed})
         for name in scenarios or SITES
     ]
     tables = []
@@ -64,7 +65,8 @@ def calibrate(
         ),
     ] = "tau,limit",
     target_speed: Annotated[
-        float | None, typer.Option(help="Target of the mean speed [km/h] to use instead of the scenario's.")
+        float | None,
+        typer.Option(callback=finite, help="Target of the mean speed [km/h] to use instead of the scenario's."),
     ] = None,
     evaluations: Annotated[int, typer.Option(min=1, help="Number of parameter settings to try.")] = 30,
     seeds: Annotated[
@@ -73,6 +75,7 @@ def calibrate(
     duration: DurationOption = 900,
     workers: WorkersOption = None,
     out: Annotated[Path | None, typer.Option(help="Folder of the results; default: runs/calibrate/NAME.")] = None,
+    max_work: MaxWorkOption = None,
     table_format: FormatOption = "table",
 ) -> None:
     """Fit drivers and speed limits to the recorded targets.
@@ -81,7 +84,7 @@ def calibrate(
     """
     from cosim.spec.loading import load_scenario
 
-    chosen = _with_target(_simulated(load_scenario(scenario), scenario), target_speed)
+    chosen = _with_target(_simulated(load_scenario(scenario, max_work=max_work), scenario), target_speed)
     from cosim.studies.calibration import Calibration, calibrate, parameters
     from cosim.studies.traffic_targets import statistics_frame, statistics_table
 
@@ -128,7 +131,7 @@ def realism(
     ],
     stretch: Annotated[
         tuple[float, float] | None,
-        typer.Option(metavar="FROM TO", help="Use only this stretch of the simulated road [m]."),
+        typer.Option(metavar="FROM TO", callback=finite, help="Use only this stretch of the simulated road [m]."),
     ] = None,
     lanes: Annotated[
         str | None, typer.Option(help="Use only these lanes, counted from the left, such as 2,3,4.")

@@ -6,21 +6,25 @@ same groups to SUMO. So each driven group has its own counterpart, and every pol
 
 from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import get_context
 
 from cosim.loop.driving import Driver, drive, start_round
+from cosim.loop.intervention import Intervention, NoIntervention
+from cosim.loop.own_policy import OwnPolicy
 from cosim.loop.perturbed_round import intervention_for
 from cosim.loop.round_recorder import Round
 from cosim.loop.trunk import Progress, Trunk
 from cosim.perturb.displaced_starts import Infeasible
-from cosim.process.fork import CAN_FORK, fork
+from cosim.process.fork import CAN_FORK, Branch, fork
+from cosim.process.guarded_calls import CallGuard, survive
 from cosim.spec.scenario import Scenario
-from cosim.traffic.running_simulation import simulation
+from cosim.traffic.running_simulation import RunningSimulation, simulation
 from cosim.traffic.simulation_input import SimulationInput, SumoFiles, prepare_simulation
 from cosim.world.break_ups import compared
 from cosim.world.episode import INTERRUPTED, Episode
 from cosim.world.groups import Group
+from cosim.world.snapshot import Snapshot
 
 
 @dataclass(frozen=True)
@@ -83,8 +87,7 @@ def run(
             if without_branches:
                 left += trunk.leave_to_sumo(history, this_round)
             elif forking:
-                start = start_round(running.frame, history, intervention, driver)
-                branch = fork(lambda: drive(running.world, running.frame, start))  # noqa: B023
+                branch = _forked(running, history, intervention, driver)
                 left += trunk.leave_to_sumo(history, this_round)
                 driven += branch.result()
             else:
@@ -96,6 +99,24 @@ def run(
         left = [compared(episode, episode) for episode in left]
         counted = [compared(*both) for both in zip(counted, left, strict=True)]
         return Outcome(tuple(counted), tuple(left), tuple(excluded), trunk.time, trunk.teleports, trunk.collisions)
+
+
+def _forked(
+    running: RunningSimulation,
+    history: Sequence[Snapshot],
+    intervention: Intervention | NoIntervention,
+    driver: Driver | None,
+) -> Branch[list[Episode]]:
+    """Drive a round in a copy of this process. A policy of the user is not even called in this process."""
+    if driver is not None and isinstance(own := driver.policy, OwnPolicy):
+
+        def attempt(guard: CallGuard) -> list[Episode]:
+            guarded = replace(driver, policy=replace(own, guard=guard))
+            return drive(running.world, running.frame, start_round(running.frame, history, intervention, guarded))
+
+        return fork(lambda: survive(attempt, own.limit))
+    start = start_round(running.frame, history, intervention, driver)
+    return fork(lambda: drive(running.world, running.frame, start))
 
 
 def _drive_from_start(inputs: SimulationInput, steps: int, this_round: Round, driver: Driver | None) -> list[Episode]:

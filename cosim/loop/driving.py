@@ -124,6 +124,7 @@ def drive(world: Sumo, road: RoadFrame, start: RoundStart) -> list[Episode]:
         around.append(world.snapshot(road) if this_round.reads_all else now)
         observation = control.verify(observation, active, recorder)
         recorder.judge(observation, before, now, report, last=step == this_round.driven_steps)
+        recorder.end_failed(control.failures, before.time, now.time)
         control.hand_back(world, recorder, observation, ended=set(active) - set(recorder.active))
         control.observe(intervention.shown_to_policy(observation, now), recorder.active)
         observations.append(observation.with_last_known_states(before))

@@ -1,7 +1,7 @@
 """Runs a policy for all groups of a round: observed states in, one model call, commanded poses out."""
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from cosim.loop.observation import GroupObservation
+from cosim.loop.own_policy import PolicyFailure
 from cosim.loop.state_layouts import Layout
 from cosim.perturb.sensing_and_control import SensingAndControl
 from cosim.world.episode import COLUMNS
@@ -18,6 +19,7 @@ from gri.core.policy import Policy, PolicyState
 from gri.core.trajectory import Trajectory
 
 _A = COLUMNS.index("a")
+LARGEST = 1e6  # of any action in SI units, far beyond what a vehicle can do
 GraphOverride = Callable[[InteractionGraph, InteractionGraph | None], InteractionGraph]
 
 
@@ -55,9 +57,14 @@ class PolicyRunner:
         self.pose = layout.pose(self._commanded)
         self._decided_at: float | None = None
         self._steps = 0
-        self._memory = self._infer_graph(None)
         self.graphs: list[tuple[float, InteractionGraph]] = []
-        self._record_graph(history[-1].time)
+        self.failures: dict[int, str] = {}  # groups for which the policy has given no usable answer, and why
+        self._memory = PolicyState.empty(Trajectory.complete(_relative(self._state[:, :, None]), dt))
+        try:
+            self._memory = self._infer_graph(None)
+            self._record_graph(history[-1].time)
+        except PolicyFailure as failure:
+            self._fail(range(len(self._state)), str(failure))
 
     def _infer_graph(self, last: InteractionGraph | None) -> PolicyState:
         """The policy's memory of the window, with the graph that it is to use."""
@@ -78,16 +85,38 @@ class PolicyRunner:
             return
         self._decided_at = time
         observed = self._channels.observed_state(self._steps, torch.from_numpy(self._state)).numpy()
-        if self._reinfer_steps and self._steps:
-            self._window.append(observed)
-            if self._steps % self._reinfer_steps == 0:
-                self._memory = replace(self._memory, graph=self._infer_graph(self._memory.graph).graph)
-                self._record_graph(time)
-        action, self._memory = self._policy.act(self._memory, _relative(observed))
-        action = self._channels.executed_action(self._steps, action)
+        action = self._channels.executed_action(self._steps, self._usable(self._action(observed, time)))
         self._commanded = self._next_state(action.numpy().astype(float))
         self._steps += 1
         self.pose = self._layout.pose(self._commanded)
+
+    def _action(self, observed: Float[np.ndarray, "G 3 D"], time: float) -> Float[Tensor, "G 3 A"]:
+        """The policy's action, from a new graph where it is time for one; 0 where the policy fails."""
+        nothing = torch.zeros(*observed.shape[:2], len(self._dynamics.action))
+        if len(self.failures) == len(observed):
+            return nothing
+        try:
+            if self._reinfer_steps and self._steps:
+                self._window.append(observed)
+                if self._steps % self._reinfer_steps == 0:
+                    self._memory = replace(self._memory, graph=self._infer_graph(self._memory.graph).graph)
+                    self._record_graph(time)
+            action, self._memory = self._policy.act(self._memory, _relative(observed))
+        except PolicyFailure as failure:
+            self._fail(range(len(observed)), str(failure))
+            return nothing
+        return action
+
+    def _usable(self, action: Float[Tensor, "G 3 A"]) -> Float[Tensor, "G 3 A"]:
+        """The action with 0 for what no vehicle can do; a group with such an action of a driven vehicle has failed."""
+        right = (action.isfinite() & (action.abs() <= LARGEST)).all(-1)
+        for g in (~right[:, self._driven_roles].all(-1)).nonzero()[:, 0].tolist():
+            wrong = action[g, self._driven_roles][~right[g, self._driven_roles]][0].tolist()
+            self._fail([g], f"act returned the action {wrong}, expected finite numbers of at most {LARGEST:g}")
+        return action.where(right[..., None], 0.0)
+
+    def _fail(self, groups: Iterable[int], reason: str) -> None:
+        self.failures = {g: reason for g in groups} | self.failures
 
     def _next_state(self, action: Float[np.ndarray, "G 3 A"]) -> Float[np.ndarray, "G 3 D"]:
         """The next state by the dynamics, within what the road surface allows; no vehicle drives backwards."""

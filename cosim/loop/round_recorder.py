@@ -1,6 +1,6 @@
 """Judges and records the groups of a round while they are driven: how each ends, when, and all events."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -113,6 +113,13 @@ class RoundRecorder:
             if ending is not None:
                 self.endings[g], self.ends[g] = ending, observation.time
         self.active = [g for g in active if g not in self.endings]
+
+    def end_failed(self, failures: Mapping[int, str], decision: float, now: float) -> None:
+        """End the active groups for which the policy has given no usable answer at the time `decision` [s]."""
+        for g in [g for g in self.active if g in failures]:
+            self.endings[g], self.ends[g] = Ending.POLICY_FAILED, now
+            self.add(g, Event(decision, EventKind.POLICY_FAILED, self.round.groups[g].ids, failures[g]))
+        self.active = [g for g in self.active if g not in self.endings]
 
     def _lost(self, observation: GroupObservation, snapshot: Snapshot) -> dict[int, Ending]:
         """The groups that lack a vehicle, or have a driven one that is on no lane."""

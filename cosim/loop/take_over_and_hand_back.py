@@ -4,8 +4,9 @@
 loop in `driving` treats both alike.
 """
 
-from collections.abc import Sequence, Set
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import ClassVar
 
 from cosim.loop import shadow_vehicles
@@ -36,6 +37,11 @@ class PolicyControl:
     def graphs(self) -> Sequence[tuple[float, InteractionGraph]]:
         """The graphs that the policy used, each with its time [s]."""
         return self.runner.graphs
+
+    @property
+    def failures(self) -> Mapping[int, str]:
+        """Groups for which the policy has given no usable answer, and why."""
+        return self.runner.failures
 
     def take_over(self, world: Sumo, recorder: RoundRecorder, time: float) -> None:
         """Take the driven vehicles of all groups from SUMO's drivers."""
@@ -94,6 +100,7 @@ class SumoControl:
     name: str
     roles: ClassVar[tuple[int, ...]] = ()
     graphs: ClassVar[Sequence[tuple[float, InteractionGraph]]] = ()
+    failures: ClassVar[Mapping[int, str]] = MappingProxyType({})
 
     def take_over(self, world: Sumo, recorder: RoundRecorder, time: float) -> None:
         """Take no vehicle."""

@@ -91,7 +91,10 @@ def _main_module_hidden() -> Iterator[None]:
 def _death(exit_code: int | None, log: Path, begun: bool) -> WorkerDeath | WorkerError:
     cause = exit_cause(exit_code)
     if not begun:
-        return WorkerDeath(f"SUMO crashed ({cause}) while it read its input; the net or the routes are broken")
+        return WorkerDeath(
+            f"the simulation ended ({cause}) before its first step: SUMO cannot read the net or the routes, or a policy"
+            " of your own (kind: python) ends its process when it is imported or made; correct them"
+        )
     return WorkerError(f"the simulation crashed ({cause}); last lines of its log: {last_lines(log) or '(empty)'}")
 
 

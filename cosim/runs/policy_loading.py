@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from cosim.loop.driving import Driver
+from cosim.loop.own_policy import OwnPolicy
 from cosim.runs.user_policy import own_policy
 from cosim.spec import scenario as spec
 from cosim.spec.input_files import checkpoint_path
@@ -29,6 +30,8 @@ def driver_of(scenario: spec.Scenario, own: Policy | None = None) -> Driver | No
     policy = own or policy_of(scenario)
     if policy is None:
         return None
+    if isinstance(scenario.policy, spec.UserPolicy):
+        policy = OwnPolicy(policy, scenario.policy.decision_limit)
     return Driver(_name(scenario.policy), policy, scenario.graph, scenario.steps(scenario.reinfer_s))
 
 

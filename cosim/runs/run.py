@@ -8,6 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pandas as pd
 
 from cosim.process.worker_process import run_in_worker
@@ -15,9 +16,10 @@ from cosim.runs.run_folder import next_folder, run_folder
 from cosim.runs.run_tables import TABLES, read_tables
 from cosim.runs.summary import summary
 from cosim.runs.surroundings_table import read_surroundings
-from cosim.runs.user_policy import missing_attributes
-from cosim.spec.loading import load_scenario, override, with_recording
-from cosim.spec.scenario import Scenario, tag_of
+from cosim.runs.user_policy import unfit
+from cosim.spec.input_files import refuse_foreign_code
+from cosim.spec.loading import find_file, load_scenario, override, with_recording
+from cosim.spec.scenario import Scenario, UserPolicy, tag_of
 from gri.errors import InputError
 from gri.resources import checkpoints
 
@@ -54,6 +56,16 @@ class Run:
     def tables(self) -> dict[str, pd.DataFrame]:
         """The five tables by name."""
         return {name: getattr(self, name) for name in TABLES}
+
+    @property
+    def policy_failures(self) -> list[str]:
+        """One line per group for which the policy failed: the policy, the group, the time, and what was wrong."""
+        failed = self.events[self.events["kind"] == "policy_failed"].to_dict("records")
+        return [
+            f"{event['driver']}: group {str(event['vehicles']).replace(' ', ', ')} at t = {event['time']:.1f} s:"
+            f" {event['detail']}"
+            for event in failed
+        ]
 
     def summary(self) -> pd.DataFrame:
         """The table that `cosim run` prints: a row per figure, a column per driver, all cells as text."""
@@ -95,6 +107,7 @@ def run(
     recording: str | Path | None = None,
     overrides: Mapping[str, Any] | None = None,
     folder: str | Path | None = None,
+    allow_code: bool = False,
     progress: Progress | None = None,
 ) -> Run:
     """Run a scenario in closed loop and return its tables.
@@ -112,6 +125,8 @@ def run(
         recording: the NGSIM file to replay, for scenarios with a recorded background.
         overrides: other top-level fields of the scenario to replace, such as `{"horizon": 4.0}`.
         folder: where to write the run; by default a new folder in `runs/`.
+        allow_code: whether to run a policy (`kind: python`) that a scenario file names outside its own folder. Code
+            that `policy` names runs in any case.
         progress: called with (stage, done, total) while the run goes on; `None` shows nothing.
 
     Raises:
@@ -124,8 +139,12 @@ def run(
         >>> done.groups[["driver", "ending", "min_gap"]]
         >>> done.figure()
     """
-    chosen = scenario if isinstance(scenario, Scenario) else load_scenario(str(scenario))
+    allowed = (overrides or {}).get("max_work")
+    chosen = scenario if isinstance(scenario, Scenario) else load_scenario(str(scenario), max_work=allowed)
     spec, own = _policy(policy)
+    if spec is None and isinstance(chosen.policy, UserPolicy) and not isinstance(scenario, Scenario):
+        file = find_file(str(scenario), "scenarios", "scenario")
+        refuse_foreign_code(msgspec.to_builtins(chosen.policy), file, allow_code)
     changes = {"seed": seed, "episodes": episodes, "policy": spec, **(overrides or {})}
     chosen = override(chosen, {name: value for name, value in changes.items() if value is not None})
     if recording is not None:
@@ -176,8 +195,8 @@ def _policy(policy: object) -> tuple[dict[str, Any] | None, object | None]:
             f"policy: got {text!r}, expected one of {', '.join(_BASELINES)}, a checkpoint (a path, or one of"
             f" {', '.join(checkpoints())}), or 'file.py:Name'"
         )
-    if missing := missing_attributes(policy):
-        raise InputError(f"policy: got a {type(policy).__name__} without {', '.join(missing)}; see gri.Policy")
+    if problem := unfit(policy):
+        raise InputError(f"policy: got {problem}; see gri.Policy")
     return {"kind": "python", "object": f"{type(policy).__module__}:{type(policy).__name__}"}, policy
 
 

@@ -4,11 +4,33 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct, field
 
-Positive = Annotated[float, Meta(gt=0)]
-NonNegative = Annotated[float, Meta(ge=0)]
+# Ranges: wide enough for any road traffic, and so narrow that no value makes a run endless. Work that grows with the
+# product of several values is limited in `cosim.spec.work`.
 Share = Annotated[float, Meta(ge=0, le=1)]
-Count = Annotated[int, Meta(ge=1)]
-Name = Annotated[str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_.\-]*$")]
+Speed = Annotated[float, Meta(ge=0, le=150)]  # [m/s]: 540 km/h
+SpeedLimit = Annotated[float, Meta(ge=0.1, le=150)]  # [m/s]
+Acceleration = Annotated[float, Meta(ge=0.01, le=50)]  # [m/s²]: 50 is what a racing car reaches when it brakes
+Gap = Annotated[float, Meta(ge=0, le=1000)]  # [m]: farther away nobody reacts
+PositiveGap = Annotated[float, Meta(gt=0, le=1000)]  # [m]
+TimeGap = Annotated[float, Meta(gt=0, le=60)]  # [s]
+Distance = Annotated[float, Meta(gt=0, le=1e6)]  # [m]: 1000 km of road
+Position = Annotated[float, Meta(ge=-1e6, le=1e6)]  # [m]
+Duration = Annotated[float, Meta(ge=0, le=3600)]  # [s] of a part of an episode: an hour
+PositiveDuration = Annotated[float, Meta(gt=0, le=3600)]  # [s]
+Period = Annotated[float, Meta(ge=0, le=7 * 86400)]  # [s] of simulated or real time: a week
+PositivePeriod = Annotated[float, Meta(ge=1, le=7 * 86400)]  # [s]
+VehicleLength = Annotated[float, Meta(ge=0.1, le=100)]  # [m]: a road train has 53
+VehicleWidth = Annotated[float, Meta(ge=0.1, le=10)]  # [m]
+Rate = Annotated[float, Meta(ge=0, le=100_000)]  # [veh/h] of one flow: 40 full lanes
+LaneChangeEagerness = Annotated[float, Meta(ge=0, le=1000)]
+Multiple = Annotated[float, Meta(gt=0, le=10)]
+Lane = Annotated[int, Meta(ge=0, le=99)]
+Text = Annotated[str, Meta(max_length=10_000)]
+Place = Annotated[str, Meta(min_length=1, max_length=1000)]  # a path or an id
+Name = Annotated[str, Meta(pattern=r"^[A-Za-z][A-Za-z0-9_.\-]*$", max_length=100)]
+VehicleKind = Literal[
+    "passenger", "hov", "taxi", "delivery", "truck", "trailer", "bus", "coach", "motorcycle", "emergency", "authority"
+]  # SUMO's vehicle classes of motor vehicles on roads (SUMO doc: Abstract Vehicle Class)
 CarFollowingModel = Literal["Krauss", "IDM", "EIDM"]
 
 
@@ -19,11 +41,11 @@ class Spec(Struct, frozen=True, forbid_unknown_fields=True):
 class LaneChanging(Spec, frozen=True, kw_only=True):
     """Parameters of SUMO's lane-change model LC2013 (SUMO doc: Definition of Vehicles, Lane-Changing Models)."""
 
-    strategic: NonNegative = 1.0
+    strategic: LaneChangeEagerness = 1.0
     cooperative: Share = 1.0
-    speed_gain: NonNegative = 1.0
-    keep_right: NonNegative = 1.0
-    assertive: Positive = 1.0
+    speed_gain: LaneChangeEagerness = 1.0
+    keep_right: LaneChangeEagerness = 1.0
+    assertive: Annotated[float, Meta(ge=0.01, le=1000)] = 1.0
 
 
 class VehicleClass(Spec, frozen=True, kw_only=True):
@@ -36,22 +58,22 @@ class VehicleClass(Spec, frozen=True, kw_only=True):
     """
 
     name: Name
-    v_class: Literal["passenger", "hov", "truck", "motorcycle"] = "passenger"
-    variants: Count = 1
-    length: Positive = 4.6
-    length_sd: NonNegative = 0.0
-    width: Positive = 1.8
+    v_class: VehicleKind = "passenger"
+    variants: Annotated[int, Meta(ge=1, le=1000)] = 1
+    length: VehicleLength = 4.6
+    length_sd: Annotated[float, Meta(ge=0, le=50)] = 0.0
+    width: VehicleWidth = 1.8
     car_following: CarFollowingModel = "Krauss"
-    acceleration: Positive = 2.0
-    deceleration: Positive = 3.5
-    emergency_deceleration: Positive = 9.0
+    acceleration: Acceleration = 2.0
+    deceleration: Acceleration = 3.5
+    emergency_deceleration: Acceleration = 9.0
     imperfection: Share | None = None
-    tau: Positive = 1.2
-    tau_cv: NonNegative = 0.0
-    min_gap: NonNegative = 2.0
-    min_gap_sd: NonNegative = 0.0
-    speed_factor: Positive = 1.0
-    speed_factor_sd: NonNegative = 0.0
+    tau: Annotated[float, Meta(ge=0.01, le=60)] = 1.2
+    tau_cv: Annotated[float, Meta(ge=0, le=2)] = 0.0
+    min_gap: Annotated[float, Meta(ge=0, le=100)] = 2.0
+    min_gap_sd: Annotated[float, Meta(ge=0, le=50)] = 0.0
+    speed_factor: Multiple = 1.0
+    speed_factor_sd: Annotated[float, Meta(ge=0, le=5)] = 0.0
     lane_changing: LaneChanging = field(default_factory=LaneChanging)
 
     def __post_init__(self) -> None:
@@ -60,6 +82,13 @@ class VehicleClass(Spec, frozen=True, kw_only=True):
                 f"vehicle class {self.name!r} has imperfection {self.imperfection:g}, but {self.car_following} has no"
                 " such parameter; expected imperfection: 0, or car_following: Krauss"
             )
+        for name in ("length", "speed_factor"):
+            mean, sd = getattr(self, name), getattr(self, f"{name}_sd")
+            if mean <= 2 * sd:  # distributions are cut off at two standard deviations
+                raise ValueError(
+                    f"vehicle class {self.name!r} has {name} {mean:g} and {name}_sd {sd:g}, so some vehicles would have"
+                    f" none; expected {name}_sd below {mean / 2:g}"
+                )
 
 
 class Flow(Spec, frozen=True, kw_only=True):
@@ -70,10 +99,10 @@ class Flow(Spec, frozen=True, kw_only=True):
     """
 
     name: Name
-    edges: Annotated[tuple[str, ...], Meta(min_length=1)]
-    per_hour: Annotated[tuple[NonNegative, ...], Meta(min_length=1)]
+    edges: Annotated[tuple[Place, ...], Meta(min_length=1)]
+    per_hour: Annotated[tuple[Rate, ...], Meta(min_length=1)]
     classes: dict[str, Share]
-    lanes: Annotated[tuple[Annotated[int, Meta(ge=0)], ...], Meta(min_length=1)]
+    lanes: Annotated[tuple[Lane, ...], Meta(min_length=1)]
 
 
 class Bottleneck(Spec, frozen=True, kw_only=True):
@@ -82,8 +111,8 @@ class Bottleneck(Spec, frozen=True, kw_only=True):
     The last limit continues.
     """
 
-    lanes: Annotated[tuple[str, ...], Meta(min_length=1)]
-    limits: Annotated[tuple[Positive, ...], Meta(min_length=1)]
+    lanes: Annotated[tuple[Place, ...], Meta(min_length=1)]
+    limits: Annotated[tuple[SpeedLimit, ...], Meta(min_length=1)]
 
 
 class Targets(Spec, frozen=True, kw_only=True):
@@ -94,9 +123,9 @@ class Targets(Spec, frozen=True, kw_only=True):
     that enter elsewhere.
     """
 
-    mean_speed: Positive
+    mean_speed: SpeedLimit
     speed_tolerance: Share = 0.1
-    mainline: Annotated[tuple[Positive, ...], Meta(min_length=1)]
+    mainline: Annotated[tuple[Annotated[float, Meta(gt=0, le=1_000_000)], ...], Meta(min_length=1)]
     ramp_share: Share
     flow_tolerance: Share = 0.05
 
@@ -110,15 +139,15 @@ class Traffic(Spec, frozen=True, kw_only=True):
     the coupling needs stay as they are (docs/own-scenarios.md).
     """
 
-    warm_up: NonNegative = 300.0
-    interval: Positive = 300.0
+    warm_up: Period = 300.0
+    interval: PositivePeriod = 300.0
     vehicles: tuple[VehicleClass, ...] = ()
     flows: tuple[Flow, ...] = ()
     bottleneck: Bottleneck | None = None
     targets: Targets | None = None
-    sumocfg: str = ""
-    routes: tuple[str, ...] = ()
-    additional: tuple[str, ...] = ()
+    sumocfg: Annotated[str, Meta(max_length=1000)] = ""
+    routes: tuple[Place, ...] = ()
+    additional: tuple[Place, ...] = ()
     options: dict[str, str | int | float | bool] = field(default_factory=dict)
 
     @property
@@ -140,6 +169,8 @@ class Traffic(Spec, frozen=True, kw_only=True):
                 f"it has no {missing[0]}, expected vehicles and flows, or SUMO files of your own (sumocfg, or routes)"
             )
         known = {vehicle.name for vehicle in self.vehicles}
+        if len(known) < len(self.vehicles):
+            raise ValueError("two vehicle classes have the same name, expected one name each")
         for flow in self.flows:
             if unknown := set(flow.classes) - known:
                 raise ValueError(

@@ -1,29 +1,58 @@
 """The input files of a scenario (net, checkpoint, policy, recording), found and hashed without torch or SUMO."""
 
+import gzip
 import hashlib
-from importlib.util import find_spec
+import sys
+from functools import lru_cache
 from pathlib import Path
-from xml.etree import ElementTree
+from typing import Any
+from xml.parsers import expat
 
 from cosim.spec.scenario import Replay, Scenario, TrainedPolicy, UserPolicy
 from cosim.spec.sumo_configuration import configuration
 from gri.errors import InputError
-from gri.resources import find_checkpoint, shipped
+from gri.resources import find_checkpoint, is_file, shipped
+
+GZIP = b"\x1f\x8b"  # the first bytes of a compressed file
+LARGEST_NET = 4 * 2**30  # bytes
 
 
 def find_net(name: str) -> Path:
     """The net file of that name (shipped in `sumo_nets/`) or path. Raises `InputError` if it is not a SUMO net."""
-    path = next((p for p in (Path(name), shipped("sumo_nets", name, f"{name}.net.xml")) if p.is_file()), None)
+    path = next((p for p in (Path(name), shipped("sumo_nets", name, f"{name}.net.xml")) if is_file(p)), None)
     if path is None:
         known = ", ".join(sorted(p.parent.name for p in shipped("sumo_nets").glob("*/*.net.xml")))
         raise InputError(f"net: no net {name!r}: expected the path of a .net.xml file or a shipped name ({known})")
-    try:
-        root = ElementTree.parse(path).getroot()
-    except ElementTree.ParseError as error:
-        raise InputError(f"{path}:{error.position[0]}: not well-formed XML ({error}); build the net again") from None
-    if root.tag != "net":
-        raise InputError(f"{path}: got a <{root.tag}> file, expected a SUMO <net>; build one with netconvert")
+    state = path.stat()
+    if (root := _root_of(path, state.st_mtime_ns, state.st_size)) != "net":
+        raise InputError(f"{path}: got a <{root}> file, expected a SUMO <net>; build one with netconvert")
     return path
+
+
+@lru_cache(maxsize=100)
+def _root_of(path: Path, changed: int, size: int) -> str:
+    """The name of the root element of an XML file, which may be compressed with gzip and is read to its end.
+
+    `changed` and `size` are those of the file, so that one that was changed is read again. Raises `InputError` if the
+    file is not well-formed.
+    """
+    del changed, size
+    roots: list[str] = []
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = lambda name, _: roots.append(name) if not roots else None
+    try:
+        with path.open("rb") as raw, gzip.open(raw) if raw.peek(2)[:2] == GZIP else raw as file:
+            while part := file.read(2**20):
+                parser.Parse(part)
+                if file.tell() > LARGEST_NET:
+                    raise InputError(f"{path}: more than {LARGEST_NET // 2**30} GiB of XML; give a smaller net")
+            parser.Parse(b"", True)
+    except InputError:
+        raise
+    except Exception as error:  # whatever is wrong with the compression, the encoding or the XML
+        line = f":{error.lineno}" if isinstance(error, expat.ExpatError) else ""
+        raise InputError(f"{path}{line}: not well-formed XML ({error}); build the net again with netconvert") from None
+    return roots[0]
 
 
 def input_files(scenario: Scenario) -> dict[str, Path]:
@@ -48,7 +77,7 @@ def recording_path(background: Replay) -> Path:
     if not background.recording:
         raise InputError("background.recording: the scenario names no recording; give one with --recording FILE")
     path = Path(background.recording)
-    if not path.is_file():
+    if not is_file(path):
         raise InputError(
             f"background.recording: no file {path} (looked in {Path.cwd()}); give an NGSIM trajectory file"
         )
@@ -58,21 +87,55 @@ def recording_path(background: Replay) -> Path:
 def source_path(policy: UserPolicy) -> Path:
     """The Python file of a user's policy. Raises `InputError` if there is none."""
     place = policy.object.rpartition(":")[0]
-    if place.endswith(".py"):
-        path = Path(place)
-    else:
-        try:
-            found = find_spec(place)
-        except ModuleNotFoundError:
-            found = None
-        if found is None or not found.origin:
-            raise InputError(
-                f"policy.object: no module {place!r} is installed; for a file of your own write 'file.py:Name'"
-            )
-        path = Path(found.origin)
-    if not path.is_file():
+    path = Path(place) if place.endswith(".py") else _module_file(place)
+    if path is None:
+        raise InputError(
+            f"policy.object: no module {place!r} is installed; for a file of your own write 'file.py:Name'"
+        )
+    if not is_file(path):
         raise InputError(f"policy.object: no file {place!r} (looked in {Path.cwd()}); give the path of a Python file")
     return path
+
+
+def refuse_foreign_code(content: Any, file: Path, allowed: bool) -> None:
+    """Raise `InputError` where a file names code that is not in its own folder and is not `allowed`.
+
+    `content` is plain: a scenario, a batch, or a part of one. Everybody who runs such a file runs the code that it
+    names, and looks at the file itself at most.
+    """
+    waiting = [] if allowed else [content]
+    while waiting:
+        value = waiting.pop()
+        if isinstance(value, list | tuple):
+            waiting += value
+        elif isinstance(value, dict):
+            waiting += value.values()
+            named = value.get("object") if value.get("kind") == UserPolicy.__struct_config__.tag else None
+            if isinstance(named, str) and not _is_inside(named.rpartition(":")[0], file.parent):
+                raise InputError(
+                    f"{file}: policy.object names code outside the folder of this file ({named}), which would run here;"
+                    " add --allow-code if you trust it"
+                )
+
+
+def _is_inside(place: str, folder: Path) -> bool:
+    return place.endswith(".py") and Path(place).resolve().is_relative_to(folder.resolve())
+
+
+def _module_file(name: str) -> Path | None:
+    """The file of a module, found without importing anything: `importlib.util.find_spec` would import its packages."""
+    places, path = None, None
+    for k in range(name.count(".") + 1):
+        part = ".".join(name.split(".")[: k + 1])
+        finders = (finder.find_spec for finder in sys.meta_path if hasattr(finder, "find_spec"))
+        try:
+            found = next((spec for find in finders if (spec := find(part, places))), None)
+        except Exception:  # a name that is no module's
+            return None
+        if found is None:
+            return None
+        places, path = found.submodule_search_locations, found.origin
+    return Path(path) if path else None
 
 
 def checkpoint_path(name: str, field: str = "policy.checkpoint") -> Path:
@@ -85,4 +148,5 @@ def checkpoint_path(name: str, field: str = "policy.checkpoint") -> Path:
 
 def sha256(path: Path) -> str:
     """SHA-256 of a file's content, in hexadecimal."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -10,13 +10,15 @@ import msgspec
 from cosim.spec.demand import Traffic
 from cosim.spec.scenario import Replay, Scenario
 from cosim.spec.sumo_configuration import read_configuration
-from gri.config import parsed, read_yaml, typed
+from gri.config import parsed, read_yaml, typed, unbounded_numbers
 from gri.errors import InputError
-from gri.resources import shipped
+from gri.resources import is_file, shipped
 
 
-def load_scenario(name: str, beside: Path | None = None) -> Scenario:
+def load_scenario(name: str, beside: Path | None = None, *, max_work: float | None = None) -> Scenario:
     """The scenario of that name (shipped in `scenarios/`) or path; a path may be relative to the folder of `beside`.
+
+    `max_work` takes the place of the scenario's own, which says how much work is allowed.
 
     Raises `InputError` with file, line and field of a mistake.
     """
@@ -26,7 +28,29 @@ def load_scenario(name: str, beside: Path | None = None) -> Scenario:
         content["traffic"] = traffic_content(content["traffic"], beside=path)
     elif isinstance(content, dict) and isinstance(content.get("traffic"), dict):
         content["traffic"] = beside_file(content["traffic"], path)
-    return typed(_with_net_of_configuration(content), Scenario, path)
+    if isinstance(content, dict) and max_work is not None:
+        content["max_work"] = max_work
+    return typed(_with_net_of_configuration(files_beside(content, path)), Scenario, path)
+
+
+def files_beside(content: Any, path: Path) -> Any:
+    """The content of a scenario file with the paths of the files that stand beside it.
+
+    These are net, checkpoint, Python file of the policy, and recording. Other names remain as they are: they are found
+    in the working folder, or are shipped.
+    """
+    if not isinstance(content, dict):
+        return content
+    result = dict(content)
+    for field, inner in ((None, "net"), ("policy", "checkpoint"), ("policy", "object"), ("background", "recording")):
+        holder = result if field is None else result.get(field)
+        if not isinstance(holder, dict) or not isinstance(given := holder.get(inner), str):
+            continue
+        name, colon, rest = given.rpartition(":") if inner == "object" else (given, "", "")
+        if name and is_file(path.parent / name):
+            placed = {**holder, inner: f"{path.parent / name}{colon}{rest}"}
+            result = placed if field is None else {**result, field: placed}
+    return result
 
 
 def traffic_content(name: str, beside: Path) -> dict[str, Any]:
@@ -39,7 +63,7 @@ def beside_file(traffic: dict[str, Any], path: Path) -> dict[str, Any]:
     """The traffic with its own SUMO files looked for beside the YAML file `path`, where they are there."""
 
     def found(name: Any) -> Any:
-        return str(path.parent / name) if isinstance(name, str) and (path.parent / name).is_file() else name
+        return str(path.parent / name) if isinstance(name, str) and is_file(path.parent / name) else name
 
     changed = {name: found(traffic[name]) for name in ("sumocfg",) if traffic.get(name)}
     for name in ("routes", "additional"):
@@ -68,7 +92,7 @@ def find_file(name: str, folder: str, what: str, beside: Path | None = None) -> 
     if beside is not None:
         candidates.insert(0, beside.parent / name)
     for path in candidates:
-        if path.is_file():
+        if is_file(path):
             return path
     known = shipped_names(folder)
     close = difflib.get_close_matches(name, known, n=1)
@@ -79,11 +103,15 @@ def find_file(name: str, folder: str, what: str, beside: Path | None = None) -> 
 def override(scenario: Scenario, changes: dict[str, Any]) -> Scenario:
     """The scenario with some top-level fields replaced, checked like a file. Raises `InputError` for a wrong value."""
     content = {**msgspec.to_builtins(scenario), **changes}
+    for fields, value in unbounded_numbers(content):
+        raise InputError(f"{'.'.join(fields)}: got {value}, expected a finite number; change it")
     try:
         return msgspec.convert(content, Scenario)
-    except msgspec.ValidationError as error:
+    except (msgspec.ValidationError, OverflowError) as error:
         problem, _, place = str(error).partition(" - at `$.")
         place = place.rstrip("`")
+        if not place:
+            raise InputError(f"{problem.partition(' - at `')[0]}; change it") from None
         raise InputError(f"{place}: {problem}, got {_value_at(content, place)!r}; change it") from None
 
 

@@ -8,11 +8,11 @@ the intensity is fixed and stated in the docstring of each class. `neutral` is t
 `default_intensities` are those of a stress test.
 """
 
-from typing import ClassVar
+from typing import Annotated, ClassVar
 
-from msgspec import Struct
+from msgspec import Meta, Struct
 
-from cosim.spec.demand import NonNegative, Positive, Share
+from cosim.spec.demand import Multiple, Share
 
 
 class PerturbationSpec(Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag_field="kind"):
@@ -36,21 +36,21 @@ class HeadwayRatio(PerturbationSpec, frozen=True, tag="headway_ratio"):
     beside or ahead of its leader, which needs two lanes.
     """
 
-    intensity: float
+    intensity: Annotated[float, Meta(ge=-10, le=10)]
     symbol, unit, neutral, default_intensities = "δ", "", 0.0, (0.25, 0.5, 0.75, 1.0, 1.25)
 
 
 class HeadwayMetres(PerturbationSpec, frozen=True, tag="headway_metres"):
     """The follower (see `HeadwayRatio`) starts farther ahead by the intensity [m]."""
 
-    intensity: float
+    intensity: Annotated[float, Meta(ge=-1000, le=1000)]
     symbol, unit, neutral, default_intensities = "shift", "m", 0.0, (2.0, 4.0, 6.0, 8.0, 10.0)
 
 
 class SpeedOffset(PerturbationSpec, frozen=True, tag="speed_offset"):
     """Vehicle 0 starts faster by the intensity [m/s], with unchanged acceleration; its speed is not below 0."""
 
-    intensity: float
+    intensity: Annotated[float, Meta(ge=-50, le=50)]
     symbol, unit, neutral, default_intensities = "Δv", "m/s", 0.0, (1.0, 2.0, 3.0, 4.0, 6.0)
 
 
@@ -61,7 +61,7 @@ class RemoveThird(PerturbationSpec, frozen=True, tag="remove_third"):
     car following, vehicle 0 moves towards vehicle 1; in a merge, the lag vehicle 1 moves towards the merging vehicle 0.
     """
 
-    intensity: float
+    intensity: Annotated[float, Meta(ge=-10, le=10)]
     symbol, unit, neutral, default_intensities = "δ", "", 0.0, (0.0, 0.2, 0.4, 0.6, 0.7)
 
 
@@ -69,7 +69,7 @@ class LeaderBraking(PerturbationSpec, frozen=True, tag="leader_braking"):
     """Vehicle 2 brakes with the intensity [m/s²] for 2 s, or to standstill; then SUMO drives it again."""
 
     duration: ClassVar[float] = 2.0  # [s]
-    intensity: NonNegative
+    intensity: Annotated[float, Meta(ge=0, le=50)]
     symbol, unit, neutral, default_intensities = "deceleration", "m/s²", 0.0, (2.0, 3.0, 4.0, 6.0, 8.0)
 
 
@@ -86,7 +86,7 @@ class NeighbourCutIn(PerturbationSpec, frozen=True, tag="neighbour_cut_in"):
     duration: ClassVar[float] = 4.0  # [s]
     deceleration: ClassVar[float] = 3.0  # [m/s^2]
     clearance: ClassVar[float] = 1.0  # [m]
-    intensity: float
+    intensity: Annotated[float, Meta(ge=-50, le=50)]
     symbol, unit, neutral, default_intensities = "speed deficit", "m/s", 0.0, (0.0, 1.0, 2.0, 3.0, 4.0)
 
 
@@ -98,7 +98,7 @@ class ObservationNoise(PerturbationSpec, frozen=True, tag="observation_noise"):
 
     across: ClassVar[float] = 0.2  # of σ
     speed: ClassVar[float] = 0.5  # [1/s] of σ
-    intensity: NonNegative
+    intensity: Annotated[float, Meta(ge=0, le=100)]
     symbol, unit, neutral, default_intensities = "σ", "m", 0.0, (0.1, 0.25, 0.5, 1.0, 2.0)
 
 
@@ -119,7 +119,7 @@ class Latency(PerturbationSpec, frozen=True, tag="latency"):
     and they are sums of its own commands. With a delay, every policy that commands jerk would oscillate.
     """
 
-    intensity: NonNegative
+    intensity: Annotated[float, Meta(ge=0, le=60)]
     symbol, unit, neutral, default_intensities = "latency", "s", 0.0, (0.2, 0.4, 0.6, 0.8, 1.0)
 
 
@@ -127,21 +127,21 @@ class ActionNoise(PerturbationSpec, frozen=True, tag="action_noise"):
     """White noise with standard deviation σ on the applied jerk, and with 0.02 rad/m · σ on the yaw acceleration."""
 
     yaw: ClassVar[float] = 0.02  # [rad/m]
-    intensity: NonNegative
+    intensity: Annotated[float, Meta(ge=0, le=1000)]
     symbol, unit, neutral, default_intensities = "σ", "m/s³", 0.0, (0.5, 1.0, 2.0, 4.0, 8.0)
 
 
 class ActionDelay(PerturbationSpec, frozen=True, tag="action_delay"):
     """Actions are applied with a delay of the intensity [s]; before the first one, the action is zero."""
 
-    intensity: NonNegative
+    intensity: Annotated[float, Meta(ge=0, le=60)]
     symbol, unit, neutral, default_intensities = "delay", "s", 0.0, (0.2, 0.4, 0.6, 0.8, 1.0)
 
 
 class DenserDemand(PerturbationSpec, frozen=True, tag="denser_demand"):
     """All flows are multiplied by this factor."""
 
-    intensity: Positive
+    intensity: Multiple
     symbol, unit, neutral, default_intensities = "factor", "", 1.0, (1.05, 1.1, 1.15, 1.2, 1.25)
 
 
@@ -172,7 +172,7 @@ class AggressiveDrivers(PerturbationSpec, frozen=True, tag="aggressive_drivers")
 class LowFriction(PerturbationSpec, frozen=True, tag="low_friction"):
     """No vehicle accelerates or brakes harder than μ·g. SUMO's drivers take this into account; the policies do not."""
 
-    intensity: Positive
+    intensity: Annotated[float, Meta(ge=0.01, le=10)]
     symbol, unit, neutral, default_intensities = "μ", "", 1.0, (0.6, 0.4, 0.3, 0.2, 0.15)
 
 

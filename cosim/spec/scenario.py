@@ -5,24 +5,45 @@ unknown keys, wrong types and values out of range are errors that name the file,
 is the same specification for editors.
 """
 
+import math
 from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta, field
 
-from cosim.spec.demand import Count, NonNegative, Positive, Spec, Traffic
+from cosim.spec.demand import (
+    Distance,
+    Duration,
+    Gap,
+    Place,
+    Position,
+    PositiveDuration,
+    PositiveGap,
+    PositivePeriod,
+    Spec,
+    Speed,
+    SpeedLimit,
+    Text,
+    TimeGap,
+    Traffic,
+)
 from cosim.spec.perturbations import CHANGES_DEMAND, Perturbation
+from cosim.spec.work import Work, entering, refuse_too_much
 
 AFTERMATH = 10.0  # [s] after the hand-back of a group in which its contacts still count
-Seed = Annotated[int, Meta(ge=0, lt=2**31)]
+DECISION_LIMIT = 30.0  # [s] of real time for one decision of a policy of the user
+MAX_WORK = 1.0  # times the usual limits
+MOST_AT_ONCE = 5_000  # vehicles in the study area whose history is kept, at most
+Seed = Annotated[int, Meta(ge=0, lt=2**31)]  # SUMO's seeds have 31 bits
+Step = Annotated[float, Meta(ge=0.001, le=10)]  # [s]; SUMO counts in milliseconds
 
 
 class Road(Spec, frozen=True, kw_only=True):
     """The main road as a chain of edges. s = 0 is where edge `origin` begins; the study area is `length` [m] long."""
 
-    edges: Annotated[tuple[str, ...], Meta(min_length=1)]
-    origin: str
-    length: Positive
+    edges: Annotated[tuple[Place, ...], Meta(min_length=1)]
+    origin: Place
+    length: Distance
 
     def __post_init__(self) -> None:
         if self.origin not in self.edges:
@@ -37,11 +58,11 @@ class CarFollowing(Spec, frozen=True, kw_only=True, tag_field="rule", tag="car_f
     a ramp, does not follow yet.
     """
 
-    min_gap: NonNegative = 2.0
-    max_gap: Positive = 45.0
-    max_time_gap: Positive = 2.5
-    min_speed: NonNegative = 1.0
-    max_speed_difference: Positive = 4.0
+    min_gap: Gap = 2.0
+    max_gap: PositiveGap = 45.0
+    max_time_gap: TimeGap = 2.5
+    min_speed: Speed = 1.0
+    max_speed_difference: SpeedLimit = 4.0
 
 
 class Merge(Spec, frozen=True, kw_only=True, tag_field="rule", tag="merge"):
@@ -53,13 +74,13 @@ class Merge(Spec, frozen=True, kw_only=True, tag_field="rule", tag="merge"):
     `settle` [s].
     """
 
-    lane: str
-    zone: tuple[float, float]
-    min_gap: NonNegative = 1.0
-    max_gap: Positive = 45.0
-    min_speed: NonNegative = 2.0
-    max_speed_difference: Positive = 6.0
-    settle: NonNegative = 2.0
+    lane: Place
+    zone: tuple[Position, Position]
+    min_gap: Gap = 1.0
+    max_gap: PositiveGap = 45.0
+    min_speed: Speed = 2.0
+    max_speed_difference: SpeedLimit = 6.0
+    settle: Duration = 2.0
 
     def __post_init__(self) -> None:
         if self.zone[0] >= self.zone[1]:
@@ -74,7 +95,7 @@ GroupRule = CarFollowing | Merge
 class TrainedPolicy(Spec, frozen=True, kw_only=True, tag_field="kind", tag="gri"):
     """A trained policy: the name of a released checkpoint, or the path of one."""
 
-    checkpoint: str
+    checkpoint: Place
 
 
 class Idm(Spec, frozen=True, kw_only=True, tag_field="kind", tag="idm"):
@@ -92,12 +113,16 @@ class LeftToSumo(Spec, frozen=True, kw_only=True, tag_field="kind", tag="sumo"):
 class UserPolicy(Spec, frozen=True, kw_only=True, tag_field="kind", tag="python"):
     """A policy of the user: `object` is "file.py:Name" or "package.module:Name".
 
-    It is called with the time step dt [s] and the `settings`, and must return a `gri.core.policy.Policy`.
-    docs/tutorial.md has an example.
+    This runs code: the file is imported when a run starts. Use only files that you trust. A file outside the folder of
+    the scenario or batch, and a module, need the option `--allow-code`.
+
+    The object is called with the time step dt [s] and the `settings`, and must return a `gri.core.policy.Policy`, which
+    may take `decision_limit` [s] for one decision. docs/tutorial.md has an example.
     """
 
-    object: Annotated[str, Meta(pattern=r"^[^:]+:[A-Za-z_][A-Za-z0-9_]*$")]
+    object: Annotated[str, Meta(pattern=r"^[^:]+:[A-Za-z_][A-Za-z0-9_]*$", max_length=1000)]
     settings: dict[str, Any] = field(default_factory=dict)
+    decision_limit: Annotated[float, Meta(ge=0.01, le=3600)] = DECISION_LIMIT
 
 
 class SimulatedTraffic(Spec, frozen=True, kw_only=True, tag_field="kind", tag="sumo"):
@@ -112,9 +137,9 @@ class Replay(Spec, frozen=True, kw_only=True, tag_field="kind", tag="replay"):
     the route and class of the flow, any other vehicle those of the first flow. SUMO uses them after the hand-back.
     """
 
-    recording: str = ""
-    lane_1: float
-    entry: float = 0.0
+    recording: Annotated[str, Meta(max_length=1000)] = ""
+    lane_1: Position
+    entry: Position = 0.0
     flows: dict[int, str] = field(default_factory=dict)
 
 
@@ -167,30 +192,31 @@ class Scenario(Spec, frozen=True, kw_only=True):
     observed for `watch`, and the next groups are taken over after a further `rest`. A run ends after `episodes` groups,
     of which at most `groups_at_once` are driven at the same time, or `time_limit` after the warm-up. With
     `surroundings` the run has a table of the vehicles around the groups. A batch leaves it out unless its `overrides`
-    say true.
+    say true. A run is refused if it may need more than `max_work` times the usual limits of steps, vehicles and memory.
     """
 
-    description: str = ""
-    net: str
+    description: Text = ""
+    net: Place
     road: Road
     traffic: Traffic
     background: Background = field(default_factory=SimulatedTraffic)
     group: GroupRule
     policy: Driver
     graph: GraphSource = field(default_factory=Inferred)
-    reinfer_s: NonNegative = 0.0
+    reinfer_s: Duration = 0.0
     driven: Annotated[tuple[Literal[0, 1], ...], Meta(min_length=1, max_length=2)] = (0, 1)
-    perturbations: tuple[Perturbation, ...] = ()
+    perturbations: Annotated[tuple[Perturbation, ...], Meta(max_length=20)] = ()
     seed: Seed = 1
-    step: Positive = 0.2
-    history: Positive = 5.0
-    horizon: Positive = 8.0
-    watch: NonNegative = AFTERMATH
-    rest: NonNegative = 2.0
-    episodes: Count = 30
-    groups_at_once: Count = 6
-    time_limit: Positive = 3600.0
+    step: Step = 0.2
+    history: PositiveDuration = 5.0
+    horizon: PositiveDuration = 8.0
+    watch: Duration = AFTERMATH
+    rest: Duration = 2.0
+    episodes: Annotated[int, Meta(ge=1, le=1_000_000)] = 30
+    groups_at_once: Annotated[int, Meta(ge=1, le=1000)] = 6
+    time_limit: PositivePeriod = 3600.0
     surroundings: bool = True
+    max_work: Annotated[float, Meta(gt=0, le=10_000)] = MAX_WORK
 
     def __post_init__(self) -> None:
         if len(set(self.driven)) < len(self.driven):
@@ -201,6 +227,16 @@ class Scenario(Spec, frozen=True, kw_only=True):
             steps = getattr(self, name) / self.step
             if abs(steps - round(steps)) > 1e-6:
                 raise ValueError(f"{name} is {getattr(self, name):g} s, expected a multiple of step = {self.step:g} s")
+        refuse_too_much(self.work(self.time_limit), self.max_work)
+
+    def work(self, duration: float) -> Work:
+        """What a simulation needs at most that lasts the warm-up and `duration` [s] more."""
+        end = self.traffic.warm_up + duration
+        vehicles = entering(self.traffic, end) if isinstance(self.background, SimulatedTraffic) else 0.0
+        episodes = min(self.episodes, self.groups_at_once * math.ceil(duration / self.step))
+        episode = self.history + self.horizon + self.watch
+        kept = min(vehicles, MOST_AT_ONCE) * self.history + 2 * 3 * episodes * episode  # [s] of vehicles
+        return Work(math.ceil(end / self.step), math.ceil(vehicles), math.ceil(kept / self.step))
 
     def _check_own_files(self) -> None:
         """Whatever changes the demand needs traffic that is described in the scenario."""

@@ -11,6 +11,7 @@ from xml.etree import ElementTree
 
 from cosim.spec.demand import Traffic
 from gri.errors import InputError
+from gri.resources import is_file
 
 FILE_LISTS = ("net-file", "route-files", "additional-files")
 _OTHER_FILES = ("weight-files",)
@@ -129,13 +130,13 @@ def read_configuration(path: Path) -> dict[str, str]:
 
     Raises `InputError` if it is no such file.
     """
-    if not path.is_file():
+    if not is_file(path):
         raise InputError(f"traffic.sumocfg: no file {path} (looked in {Path.cwd()}); give a SUMO configuration file")
     try:
         root = ElementTree.parse(path).getroot()
     except ElementTree.ParseError as error:
         raise InputError(f"{path}:{error.position[0]}: not well-formed XML ({error}); correct it") from None
-    except (LookupError, ValueError) as error:  # an encoding that does not exist
+    except Exception as error:  # such as an encoding that does not exist
         raise InputError(f"{path}: cannot be read ({error}); save it as UTF-8") from None
     if not root.tag.endswith("onfiguration"):
         raise InputError(f"{path}: got a <{root.tag}> file, expected a SUMO <configuration>")
@@ -144,8 +145,8 @@ def read_configuration(path: Path) -> dict[str, str]:
         value = element.get("value", element.get("v"))
         if value is not None:
             name = _SHORT_NAMES.get(element.tag, element.tag)
-            is_file = name in (*FILE_LISTS, *_OTHER_FILES)
-            options[name] = ",".join(_beside(path, part) for part in value.split(",")) if is_file else value
+            names_files = name in (*FILE_LISTS, *_OTHER_FILES)
+            options[name] = ",".join(_beside(path, part) for part in value.split(",")) if names_files else value
     return options
 
 
@@ -155,7 +156,7 @@ def _beside(path: Path, name: str) -> str:
 
 def _paths(names: str, where: str, option: str) -> tuple[Path, ...]:
     paths = tuple(Path(name) for name in names.split(",") if name)
-    if missing := [path for path in paths if not path.is_file()]:
+    if missing := [path for path in paths if not is_file(path)]:
         raise InputError(f"{where}: {option} names {missing[0]}, but there is no such file; correct the name")
     return paths
 

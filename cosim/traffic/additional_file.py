@@ -37,7 +37,7 @@ def without_outputs(path: Path) -> str | None:
         tree = ElementTree.parse(path)
     except ElementTree.ParseError as error:
         raise InputError(f"{path}:{error.position[0]}: not well-formed XML ({error}); correct it") from None
-    except (OSError, LookupError, ValueError) as error:
+    except Exception as error:  # such as an encoding that does not exist
         raise InputError(f"{path}: cannot be read ({error}); give an additional file of SUMO") from None
     writes = False
     for element in tree.iter():

@@ -10,9 +10,11 @@ from msgspec.structs import replace
 from cosim.perturb.traffic_demand import perturbed_traffic
 from cosim.spec.scenario import Replay, Scenario
 from cosim.spec.sumo_configuration import configuration
+from cosim.spec.work import refuse_too_much
 from cosim.traffic.additional_file import without_outputs
 from cosim.traffic.replay import RecordedTrack, read_tracks, without_demand
 from cosim.traffic.route_file import arguments, route_file, sign_file
+from gri.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -55,8 +57,12 @@ class SimulationInput:
 def prepare_simulation(scenario: Scenario, files: SumoFiles, duration: float) -> SimulationInput:
     """Make the input of a simulation that lasts the warm-up and `duration` [s] more; nothing is written or started.
 
-    Raises InputError where the recording to replay is missing or lacks a column.
+    Raises InputError where the recording to replay is missing or lacks a column, or the work is too much.
     """
+    try:
+        refuse_too_much(scenario.work(duration), scenario.max_work)
+    except ValueError as error:
+        raise InputError(str(error)) from None
     tracks: tuple[RecordedTrack, ...] = ()
     end_of_recording = math.inf
     if isinstance(scenario.background, Replay):

@@ -28,6 +28,7 @@ class Ending(StrEnum):
     CUT_IN = "cut_in"  # another vehicle drove between two of the group
     LANE_LEFT = "lane_left"  # a vehicle of the group that had to keep its lane changed it
     LOST = "lost"  # a vehicle of the group left the simulation
+    POLICY_FAILED = "policy_failed"  # the policy raised an error, gave no usable answer, or ended its process
 
 
 INTERRUPTED = frozenset({Ending.CUT_IN, Ending.LANE_LEFT, Ending.LOST})
@@ -95,6 +96,7 @@ class EventKind(StrEnum):
     VANISHED = "vanished"  # a commanded vehicle is no longer in the simulation
     TELEPORT = "teleport"
     HARD_BRAKING = "hard_braking"  # after the hand-back
+    POLICY_FAILED = "policy_failed"  # the time is that of the decision, the detail says what was wrong
 
 
 @dataclass(frozen=True)

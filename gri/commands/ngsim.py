@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gri.table import Table
-from gri.terminal import FormatOption, ProgressDisplay, show_tables
+from gri.terminal import FormatOption, ProgressDisplay, finite, show_tables
 
 if TYPE_CHECKING:
     from gri.data.ngsim.defects import Quality
@@ -54,7 +54,7 @@ def scenes(
     site: SiteOption = None,
     window: Annotated[int, typer.Option(help="Width of the smoothing filter in frames of 0.1 s; odd.")] = WINDOW,
     order: Annotated[int, typer.Option(help="Degree of the polynomial of the filter.")] = ORDER,
-    spacing: Annotated[float, typer.Option(help="Greatest distance to the leader [m].")] = SPACING,
+    spacing: Annotated[float, typer.Option(callback=finite, help="Greatest distance to the leader [m].")] = SPACING,
     training_stride: Annotated[
         int, typer.Option(help="Steps of 0.2 s between training scenes of the same three vehicles.")
     ] = TRAINING_STRIDE,

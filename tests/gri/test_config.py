@@ -1,10 +1,14 @@
+import os
+import time
 from pathlib import Path
 
 import msgspec
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from gri import resources
-from gri.config import read_yaml
+from gri.config import parsed, read_yaml
 from gri.errors import InputError
 from gri.training.adversarial.airl import AdversarialSettings
 from gri.training.grounded.settings import GroundedSettings
@@ -58,7 +62,16 @@ def test_a_supervised_model_has_no_encoder(tmp_path: Path):
         ("[0.0, 3.0]", "[0.0]", 8, "field objective.shifts.position: .*length"),
         ("[0.0, 3.0]", "[0.0, x]", 8, r"field objective.shifts.position\[1\]: expected `float`, got `str`"),
         ("[0.0, 3.0]", "[0.0, 3.0", 9, "not valid YAML"),
-        ("graphs: one", "graphs: one\n  graphs: one", 4, "field graphs is given twice"),
+        ("graphs: one", "graphs: one\n  graphs: one", 5, "field graphs is given twice"),
+        ("[0.0, 3.0]", "[0.0, 1.0e+400]", 8, r"got 1.0e\+400, expected a finite number"),
+        ("[0.0, 3.0]", f"[0.0, 1{'0' * 5000}]", 8, r"got 1000.*5001 digits|a number of 5001"),
+        ("name: small", "name: !!bool small", 1, "got the tag !!bool; write the value without a tag"),
+        ("name: small", "? [name]\n: small", 1, "got the field name a list or mapping"),
+        ("name: small", "1.0: small", 1, r"got the field name 1\.0, expected a word"),
+        ("name: small", 'name: "\\0"', 1, "control character"),
+        ("name: small", 'name: "\\ud800"', 1, "control character|not valid YAML"),
+        ("name: small", "name: 12", 1, "expected `str`, got `int`; text that looks like a number needs quotes"),
+        ("name: small", f"name: {'[' * 50}", 1, "more than 40 levels of nesting"),
         ("[0.0, 3.0]", "[0.0, .inf]", 8, "got .inf, expected a finite number"),
         ("[0.0, 3.0]", "&a [0.0, *a]", 8, "refers to content that contains it"),
     ],
@@ -76,9 +89,61 @@ def test_a_missing_field_is_named(tmp_path: Path):
         read_train_config(written(tmp_path, GOOD.replace("  range: paper\n", "")))
 
 
-def test_a_date_that_is_none_is_refused(tmp_path: Path):
+def test_dates_times_and_words_are_text_and_a_plain_exponent_is_a_number(tmp_path: Path):
+    path = written(tmp_path, "[2026-02-30, 1:30:00, yes, on, 010, 0x10, 1_000, 1e5, -2.5E-1, +3, true, ~]")
+    texts = ["2026-02-30", "1:30:00", "yes", "on", "010", "0x10", "1_000"]
+    assert parsed(path) == [*texts, 1e5, -0.25, 3, True, None]
+
+
+def test_merge_keys_and_anchors_still_work(tmp_path: Path):
+    path = written(tmp_path, "base: &b {x: 1, y: 2}\nmine: {<<: *b, y: 3}\nother: *b\n")
+    assert parsed(path) == {"base": {"x": 1, "y": 2}, "mine": {"x": 1, "y": 3}, "other": {"x": 1, "y": 2}}
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "a0: &a0 [x, x, x, x, x, x, x, x, x, x]\n"
+        + "".join(f"a{k}: &a{k} [{', '.join([f'*a{k - 1}'] * 10)}]\n" for k in range(1, 9)),
+        "a0: &a0 {x: 1}\n" + "".join(f"a{k}: &a{k} {{<<: [{', '.join([f'*a{k - 1}'] * 10)}]}}\n" for k in range(1, 9)),
+        "a0: &a0 [x]\n" + "".join(f"a{k}: &a{k} [*a{k - 1}]\n" for k in range(1, 3000)),
+        "x: " + "[" * 3000,
+        "x: " + "{a: " * 3000,
+        "- " * 3000,
+        "".join(f"k{k}: 1\n" for k in range(30_000)),
+        "x: " + "[1, " * 30 + "1" + ", 1" * 400_000,
+        "x" * (2**20 + 1),
+    ],
+    ids=["aliases", "merges", "chain", "lists", "mappings", "dashes", "keys", "values", "bytes"],
+)
+def test_content_without_end_is_refused_soon(tmp_path: Path, text: str):
+    path, began = written(tmp_path, text), time.process_time()
+    with pytest.raises(InputError, match=r"levels of nesting|more than 20000 values|MiB of YAML"):
+        parsed(path)
+    assert time.process_time() - began < 10
+
+
+def test_what_is_no_file_is_refused(tmp_path: Path):
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "half.yaml").write_text('name: "\\Uffffffff"')
     with pytest.raises(InputError, match="not valid YAML"):
-        read_train_config(written(tmp_path, GOOD.replace("small", "2001-99-99")))
+        parsed(tmp_path / "half.yaml")
+    for path in (tmp_path, tmp_path / "pipe", Path("/dev/zero"), tmp_path / ("x" * 300)):
+        with pytest.raises(InputError, match="cannot be read"):
+            parsed(path)
+
+
+@given(st.binary(max_size=200) | st.text(alphabet="ab1.-:#&*!<>[]{},'\"|%@\n\t ?~\\", max_size=80).map(str.encode))
+@settings(max_examples=300, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_any_bytes_are_content_or_refused_in_one_line(tmp_path: Path, content: bytes):
+    path = tmp_path / "any.yaml"
+    path.write_bytes(content)
+    error = None
+    try:
+        parsed(path)
+    except InputError as refusal:
+        error = str(refusal)
+    assert "\n" not in (error or "")
 
 
 def test_no_scenes_are_refused(tmp_path: Path):

@@ -5,7 +5,8 @@ import pytest
 import torch
 
 from cosim.runs.policy_loading import policy_of
-from cosim.spec.input_files import input_files
+from cosim.runs.run import run
+from cosim.spec.input_files import input_files, refuse_foreign_code
 from cosim.spec.loading import load_scenario, override
 from gri.core.trajectory import Trajectory
 from gri.errors import InputError
@@ -85,7 +86,7 @@ def test_a_module_that_is_installed(scenario):
         ("mine.py:Timegap", {}, "mine.py has no class or function 'Timegap'"),
         ("mine.py:TimeGap", {"gab": 2.0}, r"TimeGap\(dt=0.2, ...\) failed: TypeError: .*gab"),
         ("mine.py:broken", {}, "failed: ZeroDivisionError"),
-        ("mine.py:nothing", {}, "made something without dynamics, dt, history_steps, begin, act"),
+        ("mine.py:nothing", {}, "made a object without dynamics, dt, history_steps, begin, act"),
     ],
 )
 def test_mistakes_say_what_is_missing(scenario, name, settings, message):
@@ -105,3 +106,50 @@ def test_it_must_fit_the_scenario_like_any_other(scenario):
     assert policy_of(changed) is not None
     with pytest.raises(InputError, match=r"failed: TypeError"):
         policy_of(with_object(scenario, "gri.core.policy:ConstantVelocity", horizon=3))
+
+
+@pytest.mark.parametrize(
+    ("made", "message"),
+    [
+        ("object()", "made a object without dynamics, dt"),
+        ("TimeGap(dt=float('nan'))", "whose dt is nan, expected a time"),
+        ("TimeGap(dt, dynamics=None)", "whose dynamics is a NoneType, expected a gri.Dynamics"),
+        ("TimeGap(dt, history_steps=0)", "whose history_steps is 0, expected a number of steps"),
+        ("exit(3)", "failed: SystemExit: 3"),
+    ],
+)
+def test_what_is_no_policy_is_refused_before_anything_runs(scenario, tmp_path, made, message):
+    (tmp_path / "other.py").write_text(f"{POLICY}\n\ndef make(dt):\n    return {made}\n")
+    with pytest.raises(InputError, match=message):
+        policy_of(with_object(scenario, "other.py:make"))
+
+
+@pytest.mark.parametrize("code", ["1 / 0", "raise SystemExit(1)", "def f(:", "import no_such_module_anywhere"])
+def test_a_file_that_cannot_be_imported_is_one_line(scenario, tmp_path, code):
+    (tmp_path / "worse.py").write_text(code)
+    with pytest.raises(InputError, match=r"worse.py: cannot be imported: \w+") as error:
+        policy_of(with_object(scenario, "worse.py:Mine"))
+    assert "\n" not in str(error.value)
+
+
+def test_code_outside_the_folder_of_a_file_needs_permission(scenario, tmp_path):
+    inside = tmp_path / "scenarios" / "mine.yaml"
+    (tmp_path / "scenarios").mkdir()
+    own = msgspec.to_builtins(with_object(scenario, "mine.py:TimeGap"))
+    nested = {"policies": {"a": {"kind": "python", "object": "pkg.module:Name"}}}
+    refuse_foreign_code(own, tmp_path / "mine.yaml", allowed=False)
+    for content in (own, nested, [{"x": [own]}]):
+        with pytest.raises(InputError, match=r"names code outside .* add --allow-code"):
+            refuse_foreign_code(content, inside, allowed=False)
+        refuse_foreign_code(content, inside, allowed=True)
+
+
+def test_a_run_of_foreign_code_is_refused_before_it_is_imported(tmp_path, monkeypatch):
+    (tmp_path / "mine.py").write_text("raise SystemExit('this code must not run')")
+    (tmp_path / "inner").mkdir()
+    content = msgspec.to_builtins(load_scenario("us101_car_following"))
+    content["policy"] = {"kind": "python", "object": "../mine.py:Mine"}
+    (tmp_path / "inner" / "mine.yaml").write_bytes(msgspec.yaml.encode(content))
+    with pytest.raises(InputError, match=r"mine.yaml: policy.object names code outside the folder of this file"):
+        run(tmp_path / "inner" / "mine.yaml", folder=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
