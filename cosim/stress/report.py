@@ -24,8 +24,8 @@ NOTES = """\
 The outcome is over all feasible starts. "Up to" counts groups as completed that broke up by no known fault of the
 policy. The other measures are over the n starts whose group did not break up: shares, medians over starts, or means
 (the follower's braking). Brackets hold 95 % intervals. {clusters}
-"Contacts" lists which vehicle drove into which by role: 0→1 means that vehicle 0 drove into vehicle 1; "other" is background
-traffic. They count until 10 s after the hand-back.
+"Contacts" lists which vehicle drove into which by role: 0→1 means that vehicle 0 drove into vehicle 1; "other" is
+background traffic. They count until 10 s after the hand-back.
 [estimates.csv](estimates.csv) has all measures, [differences.csv](differences.csv) all tests, [counts.csv](counts.csv)
 all counts. docs/stress.md describes the measures and the perturbations.
 """
