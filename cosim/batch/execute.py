@@ -134,7 +134,9 @@ def manifest(batch: Batch, runs: Sequence[Run], store: BatchStore, file: Path) -
         state = "done" if run.id in finished else "failed" if run.id in failures else "open"
         entry: dict[str, Any] = {"run": run.id, "key": run.key, **msgspec.to_builtins(run.cell), "state": state}
         if state == "done":
-            entry["results"] = msgspec.json.decode((store.run_folder(run.id) / "manifest.json").read_bytes())["results"]
+            own = msgspec.json.decode((store.run_folder(run.id) / "manifest.json").read_bytes())
+            starts = own["arguments"].get("starts", run.scenario.episodes)
+            entry |= {"results": own["results"], "starts": starts, "asked": run.scenario.episodes}
         listed.append(entry)
     return {
         "file": str(file),

@@ -176,10 +176,14 @@ def correction_note(tests: Iterable[PairedTest]) -> str:
 
 
 def runs_table(store: BatchStore, where: Sequence[str]) -> Table:
-    """Every run of the batch with its labels and state."""
+    """Every run of the batch with its labels, its state, and its starts where it found fewer than asked for."""
     listed = pd.DataFrame(store.manifest()["runs"])
     for condition in where:
         listed = _filtered(listed, condition)
+    if "starts" in listed:
+        few = listed["starts"] < listed["asked"]
+        told = [f"{run.state}, {run.starts:g} of {run.asked:g} starts" for run in listed[few].itertuples()]
+        listed.loc[few, "state"] = told
     head = ["run", *CELL, "state"]
     lines = [["" if pd.isna(row[name]) else str(row[name]) for name in head] for _, row in listed.iterrows()]
     constant = [k for k, name in enumerate(head) if name in CELL and len({line[k] for line in lines}) == 1]

@@ -21,20 +21,26 @@ DRIVER_NAMES = {
     "recorded": "as recorded",
 }
 _PER_VEHICLE = ("vehicle", "length", "width")
+EXACT = 1e-9  # [m]
 Row = tuple[str, Callable[[pd.DataFrame], str]]
 
 
-def summary(groups: pd.DataFrame, counterparts: pd.DataFrame) -> pd.DataFrame:
-    """The figures of a run as text: a column for the driven groups, and one for their counterparts if there are any."""
+def summary(groups: pd.DataFrame, counterparts: pd.DataFrame, asked: int | None = None) -> pd.DataFrame:
+    """The figures of a run as text: a column for the driven groups, and one for their counterparts if there are any.
+
+    If more groups were `asked` for than there are, the number of groups says so.
+    """
     parts = [part for part in (groups, counterparts) if len(part)]
     rows = [[value(part) for part in parts] for _, value in _ROWS]
+    if asked is not None and asked > len(groups):
+        rows[0] = [f"{n} of {asked}" for n in rows[0]]
     columns = [driver_name(part["driver"].iloc[0]) for part in parts]
     return pd.DataFrame(rows, index=[label for label, _ in _ROWS], columns=columns)
 
 
-def summary_table(groups: pd.DataFrame, counterparts: pd.DataFrame) -> Table:
+def summary_table(groups: pd.DataFrame, counterparts: pd.DataFrame, asked: int | None = None) -> Table:
     """The summary as a table, with the numbers of `summary_records`."""
-    content = summary(groups, counterparts)
+    content = summary(groups, counterparts, asked)
     lines = [[label, *values] for label, values in zip(content.index, content.to_numpy(), strict=True)]
     title = "Driven groups, and the same groups without a policy"
     return Table(
@@ -114,6 +120,13 @@ def _other_endings(groups: pd.DataFrame) -> str:
     )
 
 
+def _isolated(groups: pd.DataFrame) -> str:
+    """Groups whose vehicle 2 moved exactly as in the counterpart; only where there is a counterpart to compare."""
+    if "leader_deviation" not in groups or groups["leader_deviation"].isna().all():
+        return "-"
+    return _of(int((groups["leader_deviation"] <= EXACT).sum()), len(groups))
+
+
 def _edges(groups: pd.DataFrame) -> str:
     """Share of the groups in which each relation was inferred, the most frequent first."""
     if "edge_1_0" not in groups or groups["edge_1_0"].isna().all():
@@ -161,6 +174,7 @@ _ROWS: tuple[Row, ...] = (
     ("  order kept", lambda g: _of(int(g["order_kept"].sum()), len(g))),
     ("broken up by policy/others/unknown", _broken_up),
     ("too late, lane end, or off the road", _other_endings),
+    ("vehicle 2 as without the policy", _isolated),
     ("inferred edges", _edges),
     ("  whole graph as expected", _as_expected),
     ("  scene known to the model", _known),
