@@ -116,7 +116,7 @@ def test_the_report_shows_every_cell(rows):
     assert "Infeasible starts: 2 overlap at 0.5." in text
     assert "4 0→1 |" in text
     assert "p = 0.062" in text
-    assert text.count("| nominal |") == 3  # two policies, one difference
+    assert text.count("| nominal |") == 5  # two policies in two tables, one difference
     assert "figures/" not in text
 
 
