@@ -82,7 +82,7 @@ class Run:
         if episode is not None and episode not in set(self.groups["episode"]):
             last = int(self.groups["episode"].max())
             raise InputError(f"episode: got {episode}, {self.folder} has the episodes 0 to {last}")
-        return figure(self.tables, episode)
+        return figure(self.tables, episode, self.folder)
 
     def __repr__(self) -> str:
         return f"Run({str(self.folder)!r}: {', '.join(self._facts())})"

@@ -103,7 +103,7 @@ def run_job(
     run_tables.write_manifest(folder, run_tables.manifest(run_facts, inputs, folder))
     if draw:
         tell("picture", 0, 1)
-        picture(tables, folder / "episode.png")
+        picture(tables, folder / "episode.png", folder=folder)
         tell("picture", 1, 1)
 
 

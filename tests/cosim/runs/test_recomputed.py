@@ -205,7 +205,7 @@ def vehicles(drive: Drive) -> dict[str, pd.DataFrame]:
 
 def pair(rear: pd.DataFrame, front: pd.DataFrame) -> tuple[float, float, float]:
     """Least net gap [m], least time to collision [s] and greatest DRAC [m/s²] while `rear` is behind in one path."""
-    both = rear.join(front, how="inner", lsuffix="_r", rsuffix="_f")
+    both = rear.merge(front, left_index=True, right_index=True, suffixes=("_r", "_f"))
     both = both[(both["d_r"] - both["d_f"]).abs() < 0.5 * (both["width_r"] + both["width_f"])]
     both = both[both["s_r"] < both["s_f"]]
     gap = (both["s_f"] - both["length_f"] - both["s_r"]).clip(lower=0.0)
