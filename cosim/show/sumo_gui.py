@@ -6,9 +6,9 @@ import sys
 import time
 from pathlib import Path
 
-import msgspec
 import numpy as np
 
+from cosim.runs.run_tables import read_json
 from cosim.show.episode_view import EpisodeView
 from cosim.spec.input_files import find_net
 from cosim.spec.scenario import Scenario
@@ -39,7 +39,7 @@ def replay(view: EpisodeView, run: Path) -> None:
 
 def command(view: EpisodeView, run: Path, program: str) -> list[str]:
     """The command line of sumo-gui, as a list of arguments."""
-    scenario = msgspec.json.decode((run / "scenario.json").read_bytes(), type=Scenario)
+    scenario = read_json(run / "scenario.json", Scenario)
     options = {
         "net-file": str(find_net(scenario.net)),
         "step-length": f"{scenario.step:g}",
