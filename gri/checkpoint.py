@@ -146,8 +146,11 @@ def _read(path: Path | str) -> dict[str, Any]:
     with guarded_reading(path, "checkpoint", _REMAKE):
         with zipfile.ZipFile(path) as archive:
             sizes = [(member.compress_type, member.file_size) for member in archive.infolist()]
-        if any(kind != zipfile.ZIP_STORED for kind, _ in sizes) or sum(size for _, size in sizes) > path.stat().st_size:
-            raise InputError(f"{path}: its content is compressed, which a checkpoint never is; {_REMAKE}")
+            packed = any(kind != zipfile.ZIP_STORED for kind, _ in sizes)
+            if packed or sum(size for _, size in sizes) > path.stat().st_size:
+                raise InputError(f"{path}: its content is compressed, which a checkpoint never is; {_REMAKE}")
+            if damaged := archive.testzip():
+                raise InputError(f"{path}: its part {damaged[:60]} is damaged; {_REMAKE}")
         content = torch.load(path, map_location="cpu", weights_only=True)
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise InputError(f"{path}: a torch file, but not a {FORMAT}; give a file written by `gri train`")
@@ -159,7 +162,8 @@ def _read(path: Path | str) -> dict[str, Any]:
         if not isinstance(content.get(field), kind):
             raise InputError(f"{path}: its field {field} is missing or no {kind.__name__}; {_REMAKE}")
     for name, tensor in (content["tensors"] | content["reward_tensors"]).items():
-        if not isinstance(tensor, Tensor) or not torch.isfinite(tensor).all():
+        right = isinstance(tensor, Tensor) and tensor.layout is torch.strided and tensor.is_contiguous()
+        if not right or not torch.isfinite(tensor).all():
             raise InputError(f"{path}: its tensor {str(name)[:60]} is not made of finite numbers; {_REMAKE}")
     return content
 

@@ -31,7 +31,9 @@ def stress(
             " default: five for each kind."
         ),
     ] = "",
-    starts: Annotated[int, typer.Option(min=1, help="Groups that every policy drives at every intensity.")] = 100,
+    starts: Annotated[
+        int, typer.Option(min=1, max=100_000, help="Groups that every policy drives at every intensity.")
+    ] = 100,
     workers: Annotated[int, typer.Option(min=1, help="Simulations at a time.")] = 2,
     out: Annotated[Path | None, typer.Option(help="Folder of the results; default: runs/stress/SCENARIO.")] = None,
     max_work: MaxWorkOption = None,
