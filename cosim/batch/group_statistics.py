@@ -1,11 +1,12 @@
 """Statistics of a batch: rates and means with intervals per part of the matrix, and paired differences.
 
-A *start* is one group at its take-over. Groups that other vehicles broke up count as interrupted, and in nothing else
-(docs/decisions/003). Differences are between the same starts: same scenario, seed, variant, vehicles and time.
+A *start* is one group at its take-over: same scenario, seed, variant, vehicles and time. A start that is driven at two
+intensities is one start with two groups. Starts of one seed share their traffic and form a cluster; intervals and tests
+take clusters as independent (`cosim.measures.statistics`). Differences are between the same starts.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -14,16 +15,18 @@ from cosim.batch.spec import LEFT_TO_SUMO, NOMINAL
 from cosim.measures.statistics import (
     Estimate,
     PairedTest,
-    bootstrap_mean,
-    bootstrap_median,
-    mcnemar,
+    mean,
+    median,
     paired_difference,
-    wilson,
+    share,
+    with_correction,
 )
 from cosim.world.episode import INTERRUPTED
+from cosim.world.outcome_columns import could_have_completed
 
 CELL = ("scenario", "policy", "perturbation", "intensity", "variant", "seed")
 START = ("scenario", "variant", "seed", "vehicle_0", "vehicle_1", "vehicle_2", "takeover_time")
+MIN_SEEDS = 6  # a sign-flip test of five clusters cannot reach p < 5 %
 SHORT_TTC = 1.5  # [s]; a shorter time to collision is a conflict (van der Horst and Hogema 1993)
 
 
@@ -32,6 +35,7 @@ class Measure:
     """One measure: its name, title and unit, and how it is computed from the groups table.
 
     With `share`, the values are boolean and the estimate is their share; with `median`, it is a median, else a mean.
+    `most` are the values of a share with all unknown outcomes counted as happened.
     """
 
     name: str
@@ -41,6 +45,7 @@ class Measure:
     share: bool = False
     median: bool = False
     better: int = 1  # 1: more is better, -1: less is
+    most: Callable[[pd.DataFrame], pd.Series] | None = None
     every_start: bool = False  # over all feasible starts; otherwise over the groups that did not break up
 
     def values(self, groups: pd.DataFrame) -> np.ndarray:
@@ -48,19 +53,22 @@ class Measure:
         return values.astype(bool) if self.share else values.astype(float)
 
     def estimate(self, groups: pd.DataFrame) -> Estimate:
-        """The estimate over starts with its 95 % interval: Wilson's for shares, else bootstrap, of finite values."""
-        values = self.values(groups)
-        if self.share:
-            return wilson(values)
-        return (bootstrap_median if self.median else bootstrap_mean)(values[np.isfinite(values)])
+        """The estimate over starts with its 95 % interval; values that are not finite are left out."""
+        values, cluster = self.values(groups), clusters(groups)
+        if not self.share:
+            finite = np.isfinite(values)
+            return (median if self.median else mean)(values[finite], cluster[finite])
+        found = share(values, cluster)
+        if self.most is None:
+            return found
+        most = share(self.most(groups).to_numpy(dtype=bool), cluster)
+        return replace(found, high=most.high, most=most.value)
 
     def difference(self, a: pd.DataFrame, b: pd.DataFrame) -> PairedTest:
         """a − b on the same starts, which are in the same rows of both tables."""
-        values = self.values(a), self.values(b)
-        if self.share:
-            return mcnemar(*values)
-        finite = np.isfinite(values[0]) & np.isfinite(values[1])
-        return paired_difference(values[0][finite], values[1][finite])
+        first, second = self.values(a), self.values(b)
+        finite = np.isfinite(first) & np.isfinite(second)
+        return paired_difference(first[finite], second[finite], clusters(a)[finite])
 
 
 OUTCOME = (
@@ -70,6 +78,7 @@ OUTCOME = (
         "share",
         lambda g: g["completed_without_contact"],
         share=True,
+        most=lambda g: g["completed_without_contact"].astype(bool) | could_have_completed(g),
         every_start=True,
     ),
     Measure("contact", "contact", "share", lambda g: g["contact"], share=True, better=-1, every_start=True),
@@ -87,6 +96,41 @@ MEASURES = (
     Measure("min_acceleration", "minimum acceleration", "m/s²", lambda g: g["min_acceleration"]),
 )
 BY_NAME = {measure.name: measure for measure in MEASURES}
+
+
+def clusters(groups: pd.DataFrame) -> np.ndarray:
+    """The cluster of each group, as a number: its seed, or with fewer than MIN_SEEDS seeds its round.
+
+    A round is the instant at which groups of one seed are taken over. Rounds of a seed resemble each other, too, so
+    that intervals and tests over rounds promise more than they keep.
+    """
+    labels = [name for name in ("scenario", "seed") if name in groups]
+    seed = groups.groupby(labels, dropna=False).ngroup().to_numpy()
+    if len(np.unique(seed)) >= MIN_SEEDS:
+        return seed
+    return groups.groupby([*labels, "takeover_time"], dropna=False).ngroup().to_numpy()
+
+
+def cluster_note(groups: pd.DataFrame) -> str:
+    """One sentence on what intervals and tests of these groups take as independent."""
+    labels = [name for name in ("scenario", "seed") if name in groups]
+    seeds = groups.groupby(labels, dropna=False).ngroups
+    if seeds >= MIN_SEEDS:
+        return f"Intervals and tests take the {seeds} seeds as independent, not the starts."
+    return (
+        f"Intervals and tests take rounds as independent, because there are only {seeds} seeds; with {MIN_SEEDS} seeds"
+        " or more they take seeds, which is safer."
+    )
+
+
+def count_starts(groups: pd.DataFrame) -> int:
+    """Number of different starts; a start that was driven at two intensities counts once."""
+    return len(groups.drop_duplicates(list(START)))
+
+
+def starts_text(starts: int, groups: int) -> str:
+    """Number of starts, and of groups where a start was driven more than once."""
+    return f"{starts}" if starts == groups else f"{starts} ({groups} groups)"
 
 
 def with_counterparts(groups: pd.DataFrame, counterparts: pd.DataFrame) -> pd.DataFrame:
@@ -107,7 +151,8 @@ def headline(groups: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
         complete = uninterrupted(part)
         rows.append(
             dict(zip(by, key if isinstance(key, tuple) else (key,), strict=True))
-            | {"runs": part["run"].nunique(), "groups": len(part), "interrupted": len(part) - len(complete)}
+            | {"runs": part["run"].nunique(), "starts": count_starts(part), "groups": len(part)}
+            | {"interrupted": len(part) - len(complete)}
             | {m.name: m.estimate(part if m.every_start else complete) for m in MEASURES}
         )
     return pd.DataFrame(rows)
@@ -141,6 +186,7 @@ def _with_cell(groups: pd.DataFrame, *, counterparts: bool) -> pd.DataFrame:
 
 
 def differences(groups: pd.DataFrame, a: str, b: str) -> dict[str, PairedTest]:
-    """Each measure's difference between the policies a − b on the same starts."""
+    """Each measure's difference between the policies a − b on the same starts; p is corrected for all these tests."""
     pairs = {every: paired_starts(groups, a, b, every_start=every) for every in (False, True)}
-    return {measure.name: measure.difference(*pairs[measure.every_start]) for measure in MEASURES}
+    tests = [measure.difference(*pairs[measure.every_start]) for measure in MEASURES]
+    return dict(zip(BY_NAME, with_correction(tests), strict=True))

@@ -1,7 +1,7 @@
 """Tables of the results of a batch, as `cosim results` prints them."""
 
 import difflib
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +49,7 @@ def groups_of(store: BatchStore) -> pd.DataFrame:
     return group_statistics.with_counterparts(*(_ordered(store.folder / t, order) for t in ("groups", "counterparts")))
 
 
-def _ordered(table: Path, runs: Sequence[str]) -> pd.DataFrame:
+def _ordered(table: Path, runs: list[str]) -> pd.DataFrame:
     with guarded_reading(table, "table of a batch", "run `cosim batch` again with a new --out"):
         rows = pd.read_parquet(table)
     rows["run"] = pd.Categorical(rows["run"].astype(str), list(runs), ordered=True)
@@ -90,16 +90,16 @@ def overview_table(groups: pd.DataFrame, by: str) -> Table:
     lines, records = [], []
     for _, row in _in_order(group_statistics.headline(groups, shown), shown).iterrows():
         labels = ["" if pd.isna(row[name]) else f"{row[name]}" for name in shown]
-        counts = [str(row["groups"]), str(row["interrupted"])]
+        counts = [group_statistics.starts_text(row["starts"], row["groups"]), str(row["interrupted"])]
         lines.append([*labels, *counts, *(interval(measure, row[measure.name]) for measure in MEASURES)])
         estimates = {name: value for measure in MEASURES for name, value in _record(measure, row[measure.name]).items()}
-        records.append({name: row[name] for name in (*shown, "groups", "interrupted")} | estimates)
+        records.append({name: row[name] for name in (*shown, "starts", "groups", "interrupted")} | estimates)
     return Table(
         "results",
-        [*shown, "groups", "interrupted", *map(_title, MEASURES)],
+        [*shown, "starts", "interrupted", *map(_title, MEASURES)],
         lines,
         records,
-        note="95 % intervals: Wilson for shares, bootstrap otherwise",
+        note=f"95 % intervals. {group_statistics.cluster_note(groups)}",
         labels=len(shown),
     )
 
@@ -111,7 +111,12 @@ def _in_order(table: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
 
 def _record(measure: Measure, estimate: Estimate) -> dict[str, float]:
     """The numbers of an estimate in the unit of the measure; shares between 0 and 1."""
-    return {measure.name: estimate.value, f"{measure.name}_low": estimate.low, f"{measure.name}_high": estimate.high}
+    return {
+        measure.name: estimate.value,
+        f"{measure.name}_low": estimate.low,
+        f"{measure.name}_high": estimate.high,
+        f"{measure.name}_most": estimate.most,
+    }
 
 
 def _title(measure: Measure) -> str:
@@ -119,12 +124,13 @@ def _title(measure: Measure) -> str:
 
 
 def interval(measure: Measure, estimate: Estimate) -> str:
-    """An estimate, and its interval in a second line; shares in percent."""
+    """An estimate with its upper bound and its interval, where it has them; shares in percent."""
     if not estimate.n:
         return "-"
     factor = 100 if measure.unit == "share" else 1
     value, low, high = (factor * number for number in (estimate.value, estimate.low, estimate.high))
-    return f"{value:.1f}\n({low:.1f},{NBSP}{high:.1f})"
+    shown = f"{value:.1f}" if not estimate.most > estimate.value else f"{value:.1f} up to {factor * estimate.most:.1f}"
+    return shown if np.isnan(low) else f"{shown}\n({low:.1f},{NBSP}{high:.1f})"
 
 
 def comparison_table(groups: pd.DataFrame, names: str) -> Table:
@@ -134,8 +140,9 @@ def comparison_table(groups: pd.DataFrame, names: str) -> Table:
     if len(chosen) != 2 or not set(chosen) <= set(known):
         raise InputError(f"--compare {names}: expected two of {', '.join(known)}, separated by a comma")
     a, b = chosen
-    starts = len(group_statistics.paired_starts(groups, a, b)[0])
-    tests = [(BY_NAME[name], test) for name, test in group_statistics.differences(groups, a, b).items()]
+    pairs = group_statistics.paired_starts(groups, a, b, every_start=True)[0]
+    starts, found = group_statistics.count_starts(pairs), group_statistics.differences(groups, a, b)
+    tests = [(BY_NAME[name], test) for name, test in found.items()]
     return Table(
         "comparison",
         ["measure", "difference (95 % interval)", "p"],
@@ -148,12 +155,22 @@ def comparison_table(groups: pd.DataFrame, names: str) -> Table:
             | {"low": test.difference.low, "high": test.difference.high, "p": test.p, "starts": starts}
             for measure, test in tests
         ],
-        title=f"{a} − {b} on the same {starts} starts",
+        title=f"{a} − {b} on the same starts: {group_statistics.starts_text(starts, len(pairs))}",
+        note=f"{correction_note(found.values())} {group_statistics.cluster_note(pairs)}",
     )
 
 
 def p_value(test: PairedTest) -> str:
-    return "-" if np.isnan(test.p) else "< 0.001" if test.p < 0.001 else f"{test.p:.3f}"
+    """The uncorrected p-value, with a star if the difference is significant after the correction."""
+    if np.isnan(test.p):
+        return "-"
+    return ("< 0.001" if test.p < 0.001 else f"{test.p:.3f}") + ("*" if test.significant else "")
+
+
+def correction_note(tests: Iterable[PairedTest]) -> str:
+    """What a star means, and how many tests were corrected."""
+    count = sum(bool(np.isfinite(test.p)) for test in tests)
+    return f"* p < 0.05 after Benjamini and Hochberg's correction for the {count} tests of this table."
 
 
 def runs_table(store: BatchStore, where: Sequence[str]) -> Table:

@@ -34,6 +34,19 @@ def stress(
     starts: Annotated[
         int, typer.Option(min=1, max=100_000, help="Groups that every policy drives at every intensity.")
     ] = 100,
+    until_decided: Annotated[
+        str,
+        typer.Option(
+            metavar="A:B",
+            help="Stop as soon as one of two policies is better at a single intensity; --starts is the maximum.",
+        ),
+    ] = "",
+    error: Annotated[
+        float,
+        typer.Option(
+            min=0.001, max=0.5, callback=finite, help="With --until-decided: probability of a wrong decision."
+        ),
+    ] = 0.05,
     workers: Annotated[int, typer.Option(min=1, help="Simulations at a time.")] = 2,
     out: Annotated[Path | None, typer.Option(help="Folder of the results; default: runs/stress/SCENARIO.")] = None,
     max_work: MaxWorkOption = None,
@@ -49,14 +62,22 @@ def stress(
     chosen = load_scenario(scenario, max_work=max_work)
     grades = _numbers(intensity)
     sweeps = sweeps_of(_words(perturbation), grades, chosen)
-    parts = chunks(chosen, policies_of(_words(policy), chosen), sweeps, starts)
+    policies = policies_of(_words(policy), chosen)
     from cosim.stress.stress_test import publish, run_stress
+    from cosim.stress.until_decided import STARTS_PER_SEED, contest_of, run_until_decided, sentence
 
+    contest = contest_of(until_decided, list(policies), sweeps, error) if until_decided else None
+    parts = chunks(chosen, policies, sweeps, starts, *([STARTS_PER_SEED] if contest else []))
+    decided = ""
     folder = out or Path("runs", "stress", Path(scenario).stem)
     began = time.monotonic()
     try:
         with ProgressDisplay() as progress:
-            rows, computation = run_stress(parts, folder, workers, progress)
+            if contest:
+                parts, rows, computation, decision = run_until_decided(parts, contest, folder, workers, progress)
+                decided = sentence(contest, decision)
+            else:
+                rows, computation = run_stress(parts, folder, workers, progress)
             command = shlex.join(["cosim", *sys.argv[1:]])
             facts = {
                 "command": command,
@@ -64,10 +85,12 @@ def stress(
                 "commits": computation.commits,
             }
             facts |= {"starts": starts, "workers": workers}
-            written = publish(parts, rows, folder, facts)
+            written = publish(parts, rows, folder, facts, decided)
     except KeyboardInterrupt:
         notice(f"stopped; finished parts are kept in {folder}, the same command continues")
         raise typer.Exit(130) from None
+    if decided:
+        say(f"{decided}\n")
     console.print(f"{time.monotonic() - began:.0f} s.", *map(str, written), sep="\n  ", soft_wrap=True)
     say(f"\nReport: {folder / 'stress.md'}; figures: {folder / 'figures'}")
     next_command(f"python -c \"import pandas; print(pandas.read_parquet('{folder}/estimates.parquet'))\"")

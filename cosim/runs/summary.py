@@ -85,10 +85,13 @@ def _of(count: int, total: int) -> str:
 
 
 def _completed_without_contact(groups: pd.DataFrame) -> str:
-    """Their number; and the upper bound, which counts groups that broke up by no known fault of the policy."""
+    """Their number, or the range up to the upper bound, which counts groups that broke up not by the policy."""
     found = headline(groups)
-    up_to = f" (up to {found.most})" if found.most > found.count else ""
-    return f"{found.count}{up_to} of {found.groups}"
+    return (
+        _of(found.count, found.groups)
+        if found.most == found.count
+        else f"{found.count} to {found.most} of {found.groups}"
+    )
 
 
 def _contacts(groups: pd.DataFrame) -> str:

@@ -9,10 +9,9 @@ import yaml
 
 from cosim.batch import group_statistics
 from cosim.batch.group_statistics import MEASURES
-from cosim.batch.result_listing import groups_of, p_value
-from cosim.batch.spec import LEFT_TO_SUMO
+from cosim.batch.result_listing import correction_note, groups_of, p_value
 from cosim.batch.store import BatchStore
-from cosim.measures.statistics import Estimate, PairedTest
+from cosim.measures.statistics import Estimate, PairedTest, with_correction
 from cosim.runs.run_tables import read_tables
 from cosim.show import graph_drawing, svg_charts
 from cosim.show.animation import script_of
@@ -32,6 +31,7 @@ def batch_report(store: BatchStore) -> str:
     manifest, groups = store.manifest(), groups_of(store)
     policies = list(dict.fromkeys(groups["policy"]))
     reference = policies[0]
+    differences, note = _differences(groups, reference)
     return page(
         "batch.html.j2",
         title=manifest["batch"].get("description") or Path(manifest["file"]).stem,
@@ -42,7 +42,9 @@ def batch_report(store: BatchStore) -> str:
         reference=reference,
         measures=[svg_charts.title_with_unit(measure) for measure in MEASURES],
         headline=_headline(groups),
-        differences=_differences(groups, reference),
+        differences=differences,
+        differences_note=note,
+        cluster_note=group_statistics.cluster_note(groups),
         curves=[
             (name, svg_charts.curves(groups, name, _unit(name, manifest), CURVES)) for name in _perturbations(groups)
         ],
@@ -88,7 +90,7 @@ def _headline(groups: pd.DataFrame) -> dict[str, Any]:
         "rows": [
             {
                 "labels": _labels(row, order),
-                "counts": [row["groups"], row["interrupted"]],
+                "counts": [group_statistics.starts_text(row["starts"], row["groups"]), row["interrupted"]],
                 "figures": [_value_and_interval(row[measure.name], measure.unit) for measure in MEASURES],
             }
             for row in table
@@ -97,30 +99,34 @@ def _headline(groups: pd.DataFrame) -> dict[str, Any]:
 
 
 def _value_and_interval(estimate: Estimate, unit: str) -> tuple[str, str]:
-    """A value and its 95 % interval as text; shares in percent."""
+    """A value with its upper bound, and its 95 % interval, as text; shares in percent."""
     if not estimate.n:
         return "–", ""
     factor, digits = (100, 1) if unit == "share" else (1, 2)
     value, low, high = (f"{factor * x:.{digits}f}" for x in (estimate.value, estimate.low, estimate.high))
-    return value, f"{low} to {high}"
+    if estimate.most > estimate.value:
+        value += f" up to {factor * estimate.most:.{digits}f}"
+    return value, "" if np.isnan(estimate.low) else f"{low} to {high}"
 
 
-def _differences(groups: pd.DataFrame, reference: str) -> list[dict[str, Any]]:
-    """Each other policy minus the reference policy on the same starts, per perturbation."""
-    found = []
+def _differences(groups: pd.DataFrame, reference: str) -> tuple[list[dict[str, Any]], str]:
+    """Each other policy minus the reference policy on the same starts, per perturbation; and a note on the tests."""
+    found, tests = [], []
     for perturbation in dict.fromkeys(groups["perturbation"]):
         part = groups[groups["perturbation"] == perturbation]
         for policy in dict.fromkeys(part["policy"]):
-            if policy == reference or (policy == LEFT_TO_SUMO and perturbation != "nominal"):
+            if policy == reference:
                 continue
-            starts = len(group_statistics.paired_starts(part, policy, reference)[0])
-            if starts:
-                tests = group_statistics.differences(part, policy, reference)
-                cells = [
-                    (*_value_and_interval(tests[m.name].difference, m.unit), _p_value(tests[m.name])) for m in MEASURES
-                ]
-                found.append({"labels": [perturbation, f"{policy} − {reference}"], "starts": starts, "figures": cells})
-    return found
+            pairs = group_statistics.paired_starts(part, policy, reference, every_start=True)[0]
+            if len(pairs):
+                starts = group_statistics.starts_text(group_statistics.count_starts(pairs), len(pairs))
+                found.append({"labels": [perturbation, f"{policy} − {reference}"], "starts": starts})
+                tests += group_statistics.differences(part, policy, reference).values()
+    tests = with_correction(tests)  # over the whole table
+    for k, row in enumerate(found):
+        own = zip(MEASURES, tests[k * len(MEASURES) : (k + 1) * len(MEASURES)], strict=True)
+        row["figures"] = [(*_value_and_interval(test.difference, m.unit), _p_value(test)) for m, test in own]
+    return found, correction_note(tests)
 
 
 def _p_value(test: PairedTest) -> str:

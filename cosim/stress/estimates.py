@@ -7,9 +7,10 @@ import numpy as np
 import pandas as pd
 
 from cosim.batch.group_statistics import OUTCOME, SHORT_TTC, Measure
+from cosim.measures.statistics import corrected
 
 CELL = ["perturbation", "intensity", "policy"]
-START = ["seed", "start"]
+START = ["seed", "start", "takeover_time"]
 # Larger values count as these, so that infinite ones (no conflict, or a contact) can be averaged.
 TIME_CAP = 30.0  # [s]
 DECELERATION_CAP = 20.0  # [m/s²]
@@ -79,7 +80,7 @@ def _frequencies(values: pd.Series) -> str:
 
 
 def estimates(rows: pd.DataFrame) -> pd.DataFrame:
-    """One row per cell, policy and measure: value and 95 % interval over its starts."""
+    """One row per cell, policy and measure: value, 95 % interval and upper bound over its starts."""
     found = []
     for key, part in rows[rows["infeasible"] == ""].groupby(CELL, dropna=False, sort=False):
         complete = counted(part)
@@ -88,13 +89,17 @@ def estimates(rows: pd.DataFrame) -> pd.DataFrame:
             found.append(
                 dict(zip(CELL, key, strict=True))
                 | {"measure": measure.name, "unit": measure.unit, "value": estimate.value}
-                | {"low": estimate.low, "high": estimate.high, "n": estimate.n}
+                | {"low": estimate.low, "high": estimate.high, "most": estimate.most}
+                | {"n": estimate.n, "clusters": estimate.clusters}
             )
     return pd.DataFrame(found)
 
 
 def differences(rows: pd.DataFrame) -> pd.DataFrame:
-    """One row per cell, policy and measure in COMPARED: this policy minus the first one on the same starts."""
+    """One row per cell, policy and measure in COMPARED: this policy minus the first one on the same starts.
+
+    `p_corrected` is corrected for the number of tests in this table.
+    """
     policies = list(dict.fromkeys(rows["policy"]))
     found = []
     for (kind, intensity), part in rows[rows["infeasible"] == ""].groupby(CELL[:2], dropna=False, sort=False):
@@ -102,10 +107,14 @@ def differences(rows: pd.DataFrame) -> pd.DataFrame:
             of = part if measure.every_start else counted(part)
             first, second = (of[of["policy"] == name].set_index(START) for name in (policies[0], other))
             both = first.index.intersection(second.index)
-            test = measure.difference(second.loc[both], first.loc[both])
+            test = measure.difference(second.loc[both].reset_index(), first.loc[both].reset_index())
             found.append(
                 {"perturbation": kind, "intensity": intensity, "policy": other, "against": policies[0]}
                 | {"measure": measure.name, "unit": measure.unit, "difference": test.difference.value}
-                | {"low": test.difference.low, "high": test.difference.high, "p": test.p, "n": len(both)}
+                | {"low": test.difference.low, "high": test.difference.high, "p": test.p}
+                | {"n": len(both), "clusters": test.difference.clusters}
             )
-    return pd.DataFrame(found)
+    table = pd.DataFrame(found)
+    if len(table):
+        table.insert(table.columns.get_loc("n"), "p_corrected", corrected(table["p"].to_numpy()))  # type: ignore
+    return table

@@ -103,9 +103,13 @@ def perturbed_scenario(scenario: Scenario, cell: Cell) -> Scenario:
 
 
 def chunks(
-    scenario: Scenario, policies: Mapping[str, Driver], sweeps: Mapping[str, Sequence[float]], starts: int
+    scenario: Scenario,
+    policies: Mapping[str, Driver],
+    sweeps: Mapping[str, Sequence[float]],
+    starts: int,
+    starts_per_seed: int = STARTS_PER_CHUNK,
 ) -> tuple[Chunk, ...]:
-    """The chunks of a stress test; the i-th block of STARTS_PER_CHUNK starts has the scenario's seed + i.
+    """The chunks of a stress test; the i-th block of `starts_per_seed` starts has the scenario's seed + i.
 
     Groups are observed for AFTERMATH after the drive. Up to GROUPS_AT_ONCE groups that are far apart are driven
     together. Raises `InputError` if an intensity is out of range.
@@ -116,8 +120,8 @@ def chunks(
     cells = [Cell(kind, float(x)) for kind, intensities in sweeps.items() for x in intensities]
     shared = (Cell(), *(cell for cell in cells if cell.perturbation not in TRAFFIC_KINDS))
     found = []
-    for i, first in enumerate(range(0, starts, STARTS_PER_CHUNK)):
-        seeded, count = replace(scenario, seed=scenario.seed + i), min(STARTS_PER_CHUNK, starts - first)
+    for i, first in enumerate(range(0, starts, starts_per_seed)):
+        seeded, count = replace(scenario, seed=scenario.seed + i), min(starts_per_seed, starts - first)
         for cell in shared:
             perturbed_scenario(seeded, cell)  # raises for intensities out of range
         found.append(Chunk(seeded, dict(policies), shared, count))

@@ -11,15 +11,17 @@ from cosim.stress.plan import NOMINAL, TRAFFIC_KINDS
 from gri.table import markdown_table
 
 NOTES = """\
-Each value is over the n counted starts of its row. Infeasible starts do not count, nor do interrupted ones, in which
-other vehicles broke up the group; both are listed. Values are shares, medians over starts, or means (Δy, and the
-follower's braking and speed loss), with 95 % intervals in brackets: Wilson's for shares, bootstrap ones otherwise.
+The outcome (completed without contact, contact, completed, order kept) is over all feasible starts. "Up to" counts
+groups as completed that broke up by no known fault of the policy. All other measures are over the n starts whose group
+did not break up. Values are shares, medians over starts, or means (Δy, and the follower's braking and speed loss), with
+95 % intervals in brackets. {clusters}
 "Contacts" lists who ran into whom by role: 0→1 means that vehicle 0 ran into vehicle 1; "other" is background traffic.
 docs/stress.md describes the measures and the perturbations.
 """
 PAIRED = """\
-Differences from {first} on the starts that both policies drove to the end [95 % bootstrap interval]. p is that of
-McNemar's exact test for shares and of the sign-flip test otherwise; it is not corrected for the number of tests.
+Differences from {first} on the same starts [95 % interval], with the p of a sign-flip test. A star marks p < 0.05 after
+Benjamini and Hochberg's correction for the {tests} tests of this report. For the outcome, groups that broke up count as
+not completed.
 """
 
 
@@ -30,13 +32,16 @@ def stress_report(
     differences: pd.DataFrame,
     kinds: list[str],
     figures: Collection[str] = (),
+    clusters: str = "",
+    decided: str = "",
 ) -> str:
     """The report of a stress test as Markdown; the tables are those of `cosim.stress.estimates`.
 
     `kinds` are the perturbations in order; those among `figures` have a picture `figures/KIND.png` beside the report.
-    Nominal rows stand in every table that has the same starts.
+    Nominal rows stand in every table that has the same starts. `clusters` says what intervals and tests take as
+    independent, `decided` is the result of a sequential test.
     """
-    parts = [f"# {title}\n", NOTES]
+    parts = [f"# {title}\n", *([f"**{decided}**\n"] if decided else []), NOTES.format(clusters=clusters)]
     for kind in kinds:
         shown = [kind] if kind in TRAFFIC_KINDS else [NOMINAL, kind]
         parts += [f"## {kind}\n", _introduction(kind)]
@@ -45,7 +50,8 @@ def stress_report(
         parts.append(_estimates_table(shown, counts, estimates))
         if len(differences):
             first = str(differences["against"].iloc[0])
-            parts += [PAIRED.format(first=first), _differences_table(shown, differences)]
+            tests = int(differences["p"].notna().sum())
+            parts += [PAIRED.format(first=first, tests=tests), _differences_table(shown, differences)]
     return "\n".join(parts)
 
 
@@ -63,7 +69,8 @@ def _unit(unit: str) -> str:
 def _estimates_table(kinds: list[str], counts: pd.DataFrame, estimates: pd.DataFrame) -> str:
     titles = [measure.title + _unit("%" if measure.share else measure.unit) for measure in MEASURES]
     head = ["intensity", "policy", "n", "infeasible", "interrupted", *titles, "contacts"]
-    known = {(*_key(row), row["measure"]): (row["value"], row["low"], row["high"]) for _, row in estimates.iterrows()}
+    shown = ["value", "low", "high", "most"]
+    known = {(*_key(row), row["measure"]): tuple(row[shown]) for _, row in estimates.iterrows()}
     rows = []
     for _, row in counts[counts["perturbation"].isin(kinds)].iterrows():
         values = [
@@ -83,12 +90,14 @@ def _intensity(row: pd.Series) -> str:
     return "nominal" if np.isnan(row["intensity"]) else f"{row['intensity']:g}"
 
 
-def _value(found: tuple[float, float, float] | None, scale: float) -> str:
+def _value(found: tuple[float, ...] | None, scale: float) -> str:
+    """A value, its upper bound if there is one above it, and its interval if there is one."""
     if found is None or np.isnan(found[0]):
         return "-"
-    value, low, high = (scale * x + 0.0 for x in found)
+    value, low, high, most = (scale * x + 0.0 for x in found)
     digits = 0 if scale == 100 else 2
-    return f"{value:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
+    up_to = f" up to {most:.{digits}f}" if most > value else ""
+    return f"{value:.{digits}f}{up_to}" + ("" if np.isnan(low) else f" [{low:.{digits}f}, {high:.{digits}f}]")
 
 
 def _differences_table(kinds: list[str], differences: pd.DataFrame) -> str:
@@ -96,11 +105,13 @@ def _differences_table(kinds: list[str], differences: pd.DataFrame) -> str:
     head = ["intensity", "policy", "n", *(m.title + _unit("%" if m.share else m.unit) for m in compared)]
     part, table = differences[differences["perturbation"].isin(kinds)], []
     for _, rows in part.groupby(CELL, dropna=False, sort=False):
-        row, found = rows.iloc[0], rows.set_index("measure")[["difference", "low", "high", "p"]].T.to_dict("list")
+        row, found = rows.iloc[0], rows.set_index("measure").to_dict("index")
         cells = []
         for measure in compared:
-            difference, low, high, p = found[measure.name]
-            cells.append(f"{_value((difference, low, high), 100.0 if measure.share else 1.0)} {_p_value(p)}".strip())
+            test = found[measure.name]
+            numbers = (test["difference"], test["low"], test["high"], np.nan)
+            p = _p_value(test["p"]) + ("*" if test["p_corrected"] < 0.05 else "")
+            cells.append(f"{_value(numbers, 100.0 if measure.share else 1.0)} {p}".strip())
         table.append([_intensity(row), row["policy"], str(row["n"]), *cells])
     return markdown_table(head, table)
 

@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 import pandas as pd
 
+from cosim.batch.group_statistics import cluster_note
 from cosim.process.worker_process import run_in_worker
 from cosim.runs.run_tables import read_json
 from cosim.spec.input_files import checkpoint_path, find_net, sha256
@@ -89,10 +90,13 @@ def _finish(futures: Sequence[Future[None]]) -> None:
         raise
 
 
-def publish(chunks: Sequence[Chunk], rows: pd.DataFrame, folder: Path, facts: dict[str, Any]) -> list[Path]:
+def publish(
+    chunks: Sequence[Chunk], rows: pd.DataFrame, folder: Path, facts: dict[str, Any], decided: str = ""
+) -> list[Path]:
     """Write rows, counts, estimates, differences, figures and report to `folder`; returns the files.
 
-    `facts` is written to `stress.json`, together with what is needed to compute the rows again.
+    `facts` is written to `stress.json`, together with what is needed to compute the rows again. `decided` is the result
+    of a sequential test.
     """
     scenario = chunks[0].scenario
     kinds = [kind for kind in dict.fromkeys(rows["perturbation"]) if kind != NOMINAL]
@@ -109,8 +113,11 @@ def publish(chunks: Sequence[Chunk], rows: pd.DataFrame, folder: Path, facts: di
     drawn = figures.draw(tables["estimates"], kinds, folder / "figures", lane_changes=merges)
     shown = (tables["counts"], tables["estimates"], tables["differences"])
     report, facts_file = folder / "stress.md", folder / "stress.json"
-    report.write_text(stress_report(title, *shown, kinds, {path.stem for path in drawn}), encoding="utf-8")
-    facts_file.write_text(json.dumps(facts | provenance(chunks), indent=1) + "\n")
+    text = stress_report(title, *shown, kinds, {path.stem for path in drawn}, cluster_note(rows), decided)
+    report.write_text(text, encoding="utf-8")
+    facts_file.write_text(
+        json.dumps(facts | ({"decided": decided} if decided else {}) | provenance(chunks), indent=1) + "\n"
+    )
     return [report, *(folder / f"{name}.parquet" for name in tables), *drawn, facts_file]
 
 

@@ -114,14 +114,14 @@ def _accuracy(row: Row | None) -> str:
     return "accuracy" if row is None or row.defined_types else "accuracy_renamed"
 
 
-def success_column(ratio: float, digits: int, collisions: bool) -> Column:
+def success_column(ratio: float, digits: int) -> Column:
     """Success rate ± half the 95 % interval over the scenes of one seed (collision rate) [%] at a ratio δ."""
 
     def cell(line: Line) -> str:
         points = line.scores[line.scores["ratio"] == ratio]
         success = fmean(points["success"])
         half_width = pooled_rate(success, int(points["scenes"].iloc[0])).half_width
-        text = f"{100 * success:.{digits}f} ± {100 * half_width:.{digits}f}"
-        return f"{text} ({100 * fmean(points['collision']):.{digits}f})" if collisions else text
+        collision = fmean(points["collision"])
+        return f"{100 * success:.{digits}f} ± {100 * half_width:.{digits}f} ({100 * collision:.{digits}f})"
 
     return Column(f"δ {ratio:g}", cell)

@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 
 from cosim.batch import group_statistics
+from cosim.batch.result_listing import comparison_table
 from cosim.batch.spec import LEFT_TO_SUMO
 
 
@@ -12,7 +13,8 @@ def row(policy: str, driver: str, vehicle: str, seed: int = 1, **changes) -> dic
     return {
         "run": f"{policy}{seed}", "scenario": "s", "policy": policy, "perturbation": "nominal", "intensity": np.nan,
         "variant": "plain", "seed": seed, "driver": driver, "vehicle_0": vehicle, "vehicle_1": "b", "vehicle_2": "c",
-        "takeover_time": 10.0, "ending": "horizon", "contact": False, "completed": True, "order_kept": True,
+        "takeover_time": 10.0 + int(vehicle[1:]), "ending": "horizon", "contact": False, "completed": True,
+        "order_kept": True,
         "completed_without_contact": True, "broken_up_by": "", "min_ttc": np.inf,
         "min_gap": 10.0, "mean_speed": 10.0, "jerk_within_3": 1.0, "min_acceleration": -1.0,
     } | changes  # fmt: skip
@@ -50,8 +52,8 @@ def test_interrupted_groups_count_in_the_outcome_and_in_nothing_else(groups, cou
     assert (completed.n, completed.value) == (3, pytest.approx(1 / 3))
     assert table.loc["x", "min_gap"].n == 2
     short = table.loc["x", "short_ttc"]
-    # Wilson for 0 of 2: 0 to z²/2 / (1 + z²/2) with z = 1.96, which is 0.6576.
-    assert (short.low, short.high) == pytest.approx((0.0, 0.6576), abs=1e-3)
+    assert (short.value, short.low, short.clusters) == (0.0, 0.0, 2)
+    assert short.high > 0.99, "two rounds say little"
     assert table.loc["y", "completed_without_contact"].value == 1.0
     assert table.loc[LEFT_TO_SUMO, "mean_speed"].value == 8.0
 
@@ -63,9 +65,44 @@ def test_pairs_are_the_same_start_on_both_sides(groups, counterparts):
     assert set(first["policy"]) == {"x"}
     tests = group_statistics.differences(table, "x", "y")
     assert tests["completed_without_contact"].difference.value == pytest.approx(-2 / 3)
-    assert tests["completed_without_contact"].p == 0.5, "two starts that differ: McNemar's exact p is 2 · 1/4"
+    assert tests["completed_without_contact"].p == 0.5, "two starts that differ, in as many rounds: 2 · 1/4"
     assert tests["min_gap"].difference.value == pytest.approx((0 - 11.0) / 2)
     assert tests["short_ttc"].difference.value == 0.0
+
+
+def test_a_start_that_is_driven_at_two_intensities_counts_once(groups, counterparts):
+    """Eight starts at two intensities are sixteen groups, but not sixteen independent results."""
+    starts = [row(policy, policy, f"a{k}", mean_speed=10.0 + (policy == "y")) for policy in "xy" for k in range(8)]
+    graded = pd.concat(
+        [pd.DataFrame(starts).assign(perturbation="braking", intensity=x) for x in (2.0, 4.0)], ignore_index=True
+    )
+    first, _ = group_statistics.paired_starts(graded, "x", "y")
+    assert (group_statistics.count_starts(first), len(first)) == (8, 16)
+    overview = group_statistics.headline(graded, ["policy"])
+    assert overview[["starts", "groups"]].to_numpy().tolist() == [[8, 16], [8, 16]]
+    test = group_statistics.differences(graded, "x", "y")["mean_speed"]
+    assert test.p == pytest.approx(2 / 2**8), "eight rounds flip, not sixteen groups"
+    title = str(comparison_table(graded, "x,y").title)
+    assert title == "x − y on the same starts: 8 (16 groups)"
+
+
+def test_clusters_are_seeds_if_there_are_enough():
+    starts = pd.DataFrame([row("x", "x", f"a{k}", seed=seed) for seed in range(6) for k in range(3)])
+    assert len(set(group_statistics.clusters(starts))) == 6
+    assert "take the 6 seeds" in group_statistics.cluster_note(starts)
+    few = starts[starts["seed"] < 5]
+    assert len(set(group_statistics.clusters(few))) == 5 * 3, "each seed has three rounds"
+    assert "only 5 seeds" in group_statistics.cluster_note(few)
+
+
+def test_differences_are_corrected_for_the_number_of_measures():
+    starts = [row(p, p, f"a{k}", mean_speed=10.0 + (p == "y") * (1 + k)) for p in "xy" for k in range(8)]
+    tests = group_statistics.differences(pd.DataFrame(starts), "x", "y")
+    assert len(tests) == len(group_statistics.MEASURES)
+    speed = tests["mean_speed"]
+    assert speed.p == pytest.approx(2 / 2**8)
+    assert speed.p_corrected == pytest.approx(len(tests) * 2 / 2**8)
+    assert not speed.significant, "only before the correction"
 
 
 def test_no_common_start_is_no_difference(groups, counterparts):

@@ -1,6 +1,7 @@
 """Tables, manifests and run folders."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -23,11 +24,12 @@ from cosim.runs.run_tables import (
     write_manifest,
     write_tables,
 )
-from cosim.runs.summary import shortest_time, summary_records, summary_table
-from cosim.world.episode import COLUMNS, Ending, Episode, Event, EventKind
+from cosim.runs.summary import shortest_time, summary, summary_records, summary_table
+from cosim.world.episode import COLUMNS, BrokenUpBy, Contact, Ending, Episode, Event, EventKind
 from cosim.world.groups import Group
 from gri.core.graph import FOLLOWING, EdgeType, InteractionGraph
 from gri.errors import InputError
+from gri.table import terminal_text
 
 CHAIN = {(1, 0): EdgeType.FOLLOW, (2, 1): EdgeType.FOLLOW}
 
@@ -202,6 +204,32 @@ def test_the_numbers_of_the_summary_are_those_of_the_table(tables):
 
 def test_long_times_to_collision_are_not_told_to_a_decimal():
     assert [shortest_time(seconds) for seconds in (2343.8, float("inf"), 60.0, 0.04)] == ["> 60", "> 60", "60.0", "0.0"]
+
+
+def test_the_summary_shows_bounds_and_fits_80_columns():
+    """Two of seven completed without contact, one more at most; the widest cells that a run of GRI has."""
+    other = Contact(102.0, ("x", "a"), "other→0", 2.0, after_hand_back=False)
+    late = Contact(104.0, ("a", "b"), "0→1", 2.0, after_hand_back=True)
+    made = [
+        episode(),
+        episode(),
+        replace(episode(), contacts=(late,)),
+        replace(episode(ending=Ending.CONTACT), contacts=(other, late)),
+        replace(episode(ending=Ending.CUT_IN), broken_up_by=BrokenUpBy.UNKNOWN),
+        replace(episode(ending=Ending.LANE_LEFT), broken_up_by=BrokenUpBy.POLICY),
+        episode(ending=Ending.LANE_END),
+    ]
+    left = [replace(one, driver="constant_velocity", graph=None) for one in made]
+    groups, counterparts = groups_table(made, CHAIN), groups_table(left, CHAIN)
+    found = summary(groups, counterparts)["GRI"]
+    assert found["completed without contact"] == "2 to 3 of 7"
+    assert found["  contact: in drive / after hand-back"] == "1 / 1"
+    assert found["  completed"] == "3 of 7"
+    assert found["broken up by policy/others/unknown"] == "1 / 0 / 1"
+    assert found["too late, lane end, or off the road"] == "1 lane end"
+    lines = terminal_text(summary_table(groups, counterparts), 80).splitlines()
+    assert max(map(len, lines)) <= 80
+    assert any("contact: in drive / after hand-back" in line for line in lines), "no label is wrapped"
 
 
 @pytest.mark.parametrize("edges", [CHAIN, {}, {(0, 2): EdgeType.FOLLOW, (0, 1): EdgeType.FOLLOW}, None])

@@ -76,7 +76,8 @@ def groups() -> pd.DataFrame:
     for k in range(24):
         rows.append(
             {
-                "run": f"r{k}", "policy": ("gri", "idm")[k % 2], "perturbation": "braking", "intensity": float(k % 3),
+                "run": f"r{k}", "scenario": "s", "seed": k // 2, "takeover_time": 10.0, "broken_up_by": "",
+                "policy": ("gri", "idm")[k % 2], "perturbation": "braking", "intensity": float(k % 3),
                 "driver": "gri", "ending": "contact" if k == 5 else "horizon", "contact": k == 5,
                 "completed_without_contact": k != 5,
                 "min_ttc": float(rng.uniform(1, 9)), "min_gap": float(rng.uniform(1, 9)), "mean_speed": 10.0 + k,

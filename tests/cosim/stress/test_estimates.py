@@ -11,7 +11,8 @@ from cosim.stress.report import stress_report
 
 def row(start: int, policy="a", kind="nominal", intensity=None, **changes):
     base = {
-        "seed": 1, "start": f"x{start}", "policy": policy, "perturbation": kind, "intensity": intensity,
+        "seed": 1, "start": f"x{start}", "takeover_time": 10.0 + start, "policy": policy,
+        "perturbation": kind, "intensity": intensity,
         "infeasible": "", "counted": True, "contact": False, "completed": True, "order_kept": True,
         "completed_without_contact": True, "broken_up_by": "", "contact_with": "", "ending": "horizon",
         "min_ttc": 5.0 + start, "max_drac": 0.1, "min_pet": 1.0, "min_gap": 8.0 + start, "min_headway": 1.0,
@@ -60,7 +61,7 @@ def test_outcomes_are_over_feasible_starts_and_measures_over_counted_ones(rows):
 
 
 def test_differences_are_on_the_same_starts(rows):
-    """Of the eight feasible starts b alone fails in five: −5/8, McNemar p = 2/2⁵ = 0.0625."""
+    """Of the eight feasible starts, in as many rounds, b alone fails in five: −5/8, p = 2/2⁵ = 0.0625."""
     found = differences(rows).set_index(["perturbation", "measure"]).loc["headway_ratio"]
     assert found.loc["min_gap", "n"] == 7, "only starts that both drove to the end"
     found = found.loc["completed_without_contact"]
@@ -70,9 +71,48 @@ def test_differences_are_on_the_same_starts(rows):
     assert (found["policy"], found["against"]) == ("b", "a")
 
 
+def test_starts_of_one_round_are_one_cluster(rows):
+    """All taken over at one instant: that both policies were luckless by chance in this traffic cannot be excluded."""
+    same = rows.assign(takeover_time=10.0)
+    found = differences(same).set_index(["perturbation", "measure"]).loc[("headway_ratio", "completed_without_contact")]
+    assert (found["difference"], found["n"], found["clusters"], found["p"]) == (pytest.approx(-5 / 8), 8, 1, 1.0)
+    assert np.isnan(found["low"])
+    text = stress_report("Title", counts(same), estimates(same), differences(same), ["headway_ratio"])
+    assert "| 0.5 | b | 7 | 2 (2 overlap) | 1 | 38 | 50 |" in text, "values without intervals"
+
+
+def test_groups_that_others_broke_up_give_an_upper_bound(rows):
+    """The broken-up one of the eight: 3/8 completed without contact, 4/8 if it would have."""
+    rows = rows.replace({"broken_up_by": {"policy": "unknown"}})
+    found = estimates(rows).set_index(["perturbation", "policy", "measure"])
+    headline = found.loc[("headway_ratio", "b", "completed_without_contact")]
+    assert (headline["value"], headline["most"]) == (3 / 8, 4 / 8)
+    contact = found.loc[("headway_ratio", "b", "contact")]
+    assert np.isnan(contact["most"])
+    assert headline["high"] == contact["high"], "the interval ends where that of the upper bound does: also 4/8"
+    text = stress_report("Title", counts(rows), estimates(rows), differences(rows), ["headway_ratio"])
+    assert " 38 up to 50 [" in text
+
+
+def test_stars_are_given_after_the_correction_over_the_whole_table(rows):
+    """Ten starts in ten rounds, b fails in all of them: p = 2/2¹⁰, and still a star among the other tests."""
+    rows = rows[rows["perturbation"] == "nominal"]
+    fails = rows["policy"] == "b"
+    both = pd.concat([rows, rows.assign(perturbation="headway_ratio", intensity=0.5, completed_without_contact=~fails)])
+    table = differences(both)
+    found = table.set_index(["perturbation", "measure"])
+    tests = table["p"].notna().sum()
+    assert tests == 14
+    failing = found.loc[("headway_ratio", "completed_without_contact")]
+    assert (failing["p"], failing["p_corrected"]) == (pytest.approx(2 / 2**10), pytest.approx(tests * 2 / 2**10))
+    text = stress_report("Title", counts(both), estimates(both), table, ["headway_ratio"])
+    assert text.count("p = 0.002*") == 1
+    assert "correction for the 14 tests of this report" in " ".join(text.split())
+
+
 def test_the_report_shows_every_cell(rows):
     text = stress_report("Title", counts(rows), estimates(rows), differences(rows), ["headway_ratio"])
-    assert "| 0.5 | b | 7 | 2 (2 overlap) | 1 | 38 [14, 69] | 50 [22, 78]" in text
+    assert "| 0.5 | b | 7 | 2 (2 overlap) | 1 | 38 [4, 85] | 50 [9, 91]" in text
     assert "4 0→1 |" in text
     assert "p = 0.062" in text
     assert text.count("| nominal |") == 3  # two policies, one difference
