@@ -6,9 +6,9 @@ Functions that read take the path of a file or the name of a released checkpoint
 """
 
 import os
-import pickle
 import tempfile
-from collections.abc import Mapping
+import zipfile
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ import torch
 from torch import Tensor
 
 from gri.core.graph import FOLLOWING
-from gri.errors import InputError
+from gri.errors import InputError, guarded_reading
 from gri.networks.model import ModelConfig, RelationalModel
 from gri.resources import find_checkpoint
 from gri.rewards.structured import AssumedReward, LaneRewardConfig, NaturalisticConfig, RewardConfig, StructuredReward
@@ -89,56 +89,96 @@ def load(path: Path | str) -> RelationalModel:
         >>> model.infer(state)  # the graph; `state` is [groups, vehicles, instants, features]
     """
     content = _read(path)
-    config = _decoded(content["config"], ModelConfig, path)
-    model = RelationalModel(config)
-    _check_layout(content, model, path)
-    try:
+    with guarded_reading(path, "checkpoint", _REMAKE):
+        config = _decoded(content["config"], ModelConfig, path)
+        _check_shapes(lambda: RelationalModel(config), content["tensors"], path)
+        model = RelationalModel(config)
+        _check_layout(content, model, path)
         model.load_state_dict(content["tensors"])
-    except RuntimeError as error:
-        raise InputError(f"{path}: tensors do not fit the stored configuration ({_line(error)}); {_REMAKE}") from error
-    return model.requires_grad_(False).eval()
+        return model.requires_grad_(False).eval()
 
 
 def load_reward(path: Path | str) -> StructuredReward | None:
     """The reward that the model of a checkpoint was grounded in, with fixed weights; None if it has none."""
     content = _read(path)
-    if not content["reward_config"]:
-        return None
-    kind = RewardConfig if tuple(content["vocabulary"]) == FOLLOWING else LaneRewardConfig
-    if "type" in msgspec.json.decode(content["reward_config"]):
-        kind = NaturalisticConfig | AssumedReward
-    reward = StructuredReward(_decoded(content["reward_config"], kind, path))
-    reward.load_state_dict(content["reward_tensors"])
-    return reward.requires_grad_(False).eval()
+    with guarded_reading(path, "checkpoint", _REMAKE):
+        if not content["reward_config"]:
+            return None
+        kind = RewardConfig if tuple(content["vocabulary"]) == FOLLOWING else LaneRewardConfig
+        if "type" in msgspec.json.decode(content["reward_config"]):
+            kind = NaturalisticConfig | AssumedReward
+        config = _decoded(content["reward_config"], kind, path)
+        _check_shapes(lambda: StructuredReward(config), content["reward_tensors"], path)
+        reward = StructuredReward(config)
+        reward.load_state_dict(content["reward_tensors"])
+        return reward.requires_grad_(False).eval()
 
 
 def provenance(path: Path | str) -> dict[str, Any]:
     """How a checkpoint was made: configuration, seed, versions and scores."""
-    return msgspec.json.decode(_read(path)["provenance"])
+    content = _read(path)
+    with guarded_reading(path, "checkpoint", _REMAKE):
+        return msgspec.json.decode(content["provenance"], type=dict[str, Any])
 
 
 def objective(path: Path | str) -> str:
     """The objective that a model was trained with: "gri", "nri", "supervised", …; "gri" if the file does not say."""
-    name = provenance(path).get("config", {}).get("objective", {}).get("type", "gri")
+    name: Any = provenance(path)
+    for field in ("config", "objective", "type"):
+        name = name.get(field) if isinstance(name, dict) else None
+    name = name if isinstance(name, str) else "gri"
     return name.removesuffix("_recorded").removesuffix("_told")
 
 
 _REMAKE = "make it again with `gri train`"
+_FIELDS = {
+    "config": str,
+    "vocabulary": list,
+    "tensors": dict,
+    "reward_config": str,
+    "reward_tensors": dict,
+    "provenance": str,
+}
 
 
 def _read(path: Path | str) -> dict[str, Any]:
     path = find_checkpoint(path)
-    try:
+    with guarded_reading(path, "checkpoint", _REMAKE):
+        with zipfile.ZipFile(path) as archive:
+            sizes = [(member.compress_type, member.file_size) for member in archive.infolist()]
+            packed = any(kind != zipfile.ZIP_STORED for kind, _ in sizes)
+            if packed or sum(size for _, size in sizes) > path.stat().st_size:
+                raise InputError(f"{path}: its content is compressed, which a checkpoint never is; {_REMAKE}")
+            if damaged := archive.testzip():
+                raise InputError(f"{path}: its part {damaged[:60]} is damaged; {_REMAKE}")
         content = torch.load(path, map_location="cpu", weights_only=True)
-    except (RuntimeError, EOFError, ValueError, KeyError, OSError, pickle.UnpicklingError) as error:
-        raise InputError(f"{path}: not a readable checkpoint, damaged or cut short; {_REMAKE}") from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise InputError(f"{path}: a torch file, but not a {FORMAT}; give a file written by `gri train`")
     if content.get("version") != VERSION:
         raise InputError(
             f"{path}: got format version {content.get('version')}, this release reads {VERSION}; {_REMAKE}"
         )
+    for field, kind in _FIELDS.items():
+        if not isinstance(content.get(field), kind):
+            raise InputError(f"{path}: its field {field} is missing or no {kind.__name__}; {_REMAKE}")
+    for name, tensor in (content["tensors"] | content["reward_tensors"]).items():
+        right = isinstance(tensor, Tensor) and tensor.layout is torch.strided and tensor.is_contiguous()
+        if not right or not torch.isfinite(tensor).all():
+            raise InputError(f"{path}: its tensor {str(name)[:60]} is not made of finite numbers; {_REMAKE}")
     return content
+
+
+def _check_shapes(make: Callable[[], torch.nn.Module], tensors: Mapping[str, Tensor], path: Path | str) -> None:
+    """Compare the tensors with what the configuration wants, before anything of that size is made."""
+    with torch.device("meta"):
+        wanted = {name: tuple(tensor.shape) for name, tensor in make().state_dict().items()}
+    got = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
+    if got != wanted:
+        name = next(name for name in [*wanted, *got] if got.get(name) != wanted.get(name))
+        raise InputError(
+            f"{path}: tensors do not fit the stored configuration: {name[:60]} has the shape {got.get(name)}, wanted"
+            f" {wanted.get(name)}; {_REMAKE}"
+        )
 
 
 def _decoded(text: str, kind: Any, path: Path | str) -> Any:
@@ -160,7 +200,3 @@ def _check_layout(content: dict[str, Any], model: RelationalModel, path: Path | 
     for field, value in wanted.items():
         if content.get(field) != value:
             raise InputError(f"{path}: got {field} {content.get(field)}, this release wants {value}; {_REMAKE}")
-
-
-def _line(error: Exception) -> str:
-    return str(error).strip().split("\n")[0][:120]

@@ -18,6 +18,7 @@ from cosim.batch.run_matrix import PACKAGES, Run
 from cosim.batch.spec import Batch
 from cosim.batch.store import BatchStore
 from cosim.process.task import Task, TaskResult, TaskResults
+from cosim.runs.run_tables import read_json
 
 Executor = Callable[[deque[Task], float], TaskResults]  # (queue, time limit [s])
 NOT_RETRIED = ("input",)  # kinds of failure that a second attempt cannot fix
@@ -134,9 +135,9 @@ def manifest(batch: Batch, runs: Sequence[Run], store: BatchStore, file: Path) -
         state = "done" if run.id in finished else "failed" if run.id in failures else "open"
         entry: dict[str, Any] = {"run": run.id, "key": run.key, **msgspec.to_builtins(run.cell), "state": state}
         if state == "done":
-            own = msgspec.json.decode((store.run_folder(run.id) / "manifest.json").read_bytes())
-            starts = own["arguments"].get("starts", run.scenario.episodes)
-            entry |= {"results": own["results"], "starts": starts, "asked": run.scenario.episodes}
+            own = read_json(store.run_folder(run.id) / "manifest.json", dict[str, Any])
+            starts = own.get("arguments", {}).get("starts", run.scenario.episodes)
+            entry |= {"results": own.get("results", {}), "starts": starts, "asked": run.scenario.episodes}
         listed.append(entry)
     return {
         "file": str(file),

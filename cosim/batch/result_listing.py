@@ -12,7 +12,7 @@ from cosim.batch import group_statistics
 from cosim.batch.group_statistics import BY_NAME, CELL, MEASURES, Measure
 from cosim.batch.store import BatchStore
 from cosim.measures.statistics import Estimate, PairedTest
-from gri.errors import InputError
+from gri.errors import InputError, guarded_reading
 from gri.table import NBSP, Table
 
 
@@ -50,8 +50,9 @@ def groups_of(store: BatchStore) -> pd.DataFrame:
 
 
 def _ordered(table: Path, runs: list[str]) -> pd.DataFrame:
-    rows = pd.read_parquet(table)
-    rows["run"] = pd.Categorical(rows["run"].astype(str), runs, ordered=True)
+    with guarded_reading(table, "table of a batch", "run `cosim batch` again with a new --out"):
+        rows = pd.read_parquet(table)
+    rows["run"] = pd.Categorical(rows["run"].astype(str), list(runs), ordered=True)
     return rows.sort_values(["run", "episode"], ignore_index=True).astype({"run": str})
 
 

@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from cosim.runs.run_tables import TABLES
+from cosim.runs.run_tables import TABLES, read_json
 from gri.errors import InputError
 
 PARTIAL = ".partial"
@@ -63,7 +63,8 @@ class BatchStore:
 
     def failures(self) -> dict[str, dict[str, Any]]:
         """The record of each run that failed finally, by run id."""
-        return {path.stem: json.loads(path.read_text()) for path in sorted((self.folder / "failures").glob("*.json"))}
+        records = sorted((self.folder / "failures").glob("*.json"))
+        return {path.stem: read_json(path, dict[str, Any]) for path in records}
 
     def finish(self, run: str, partial: Path) -> None:
         """Publish the results of an attempt. The last step marks the run as finished; an OSError leaves it open."""
@@ -95,7 +96,7 @@ class BatchStore:
         path = self.folder / "manifest.json"
         if not path.is_file() or not (self.folder / "runs").is_dir():
             raise InputError(f"{self.folder}: not the folder of a batch; `cosim batch FILE` writes one")
-        return json.loads(path.read_text())
+        return read_json(path, dict[str, Any])
 
     def _link_tables(self, runs: set[str]) -> None:
         """Let the tables hold those of these runs that have finished, and no others."""

@@ -31,7 +31,9 @@ def stress(
             " default: five for each kind."
         ),
     ] = "",
-    starts: Annotated[int, typer.Option(min=1, help="Groups that every policy drives at every intensity.")] = 100,
+    starts: Annotated[
+        int, typer.Option(min=1, max=100_000, help="Groups that every policy drives at every intensity.")
+    ] = 100,
     until_decided: Annotated[
         str,
         typer.Option(
@@ -40,7 +42,10 @@ def stress(
         ),
     ] = "",
     error: Annotated[
-        float, typer.Option(min=0.001, max=0.5, help="With --until-decided: probability of a wrong decision.")
+        float,
+        typer.Option(
+            min=0.001, max=0.5, callback=finite, help="With --until-decided: probability of a wrong decision."
+        ),
     ] = 0.05,
     workers: Annotated[int, typer.Option(min=1, help="Simulations at a time.")] = 2,
     out: Annotated[Path | None, typer.Option(help="Folder of the results; default: runs/stress/SCENARIO.")] = None,

@@ -1,6 +1,5 @@
 """The Python door to closed-loop runs: `run` runs a scenario, `open_run` reads a finished run, both return a `Run`."""
 
-import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -14,7 +13,7 @@ import pandas as pd
 from cosim.loop.trunk import MANY_WAITING
 from cosim.process.worker_process import run_in_worker
 from cosim.runs.run_folder import next_folder, run_folder
-from cosim.runs.run_tables import TABLES, read_tables
+from cosim.runs.run_tables import TABLES, read_json, read_tables
 from cosim.runs.summary import summary
 from cosim.runs.surroundings_table import read_surroundings
 from cosim.runs.user_policy import unfit
@@ -198,7 +197,7 @@ def open_run(folder: str | Path) -> Run:
     manifest = folder / "manifest.json"
     if not manifest.is_file():
         raise InputError(f"{folder}: no manifest.json in it; expected a run folder written by `cosim run`")
-    return Run(folder, **tables, manifest=json.loads(manifest.read_text()))
+    return Run(folder, **tables, manifest=read_json(manifest, dict[str, Any]))
 
 
 def _policy(policy: object) -> tuple[dict[str, Any] | None, object | None]:

@@ -15,6 +15,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pandas as pd
 import pyarrow as pa
@@ -30,7 +31,7 @@ from cosim.world.hand_back_columns import hand_back_columns
 from cosim.world.outcome_columns import outcome_columns
 from cosim.world.safety import safety_measures, track_of_role
 from gri.core.graph import EdgeType, pairs
-from gri.errors import InputError
+from gri.errors import InputError, guarded_reading
 
 TABLES = ("steps", "groups", "counterparts", "events", "graphs")
 
@@ -216,6 +217,22 @@ def write_manifest(folder: Path, content: Mapping[str, Any]) -> None:
     (folder / "manifest.json").write_text(json.dumps(content, indent=2) + "\n")
 
 
+NEEDED = {
+    "steps": ("episode", "driver", "time", "role", "vehicle", "present", "driven", "s", "d", "v", "a"),
+    "groups": ("episode", "driver", "ending", "takeover_time"),
+    "counterparts": ("episode", "driver", "ending", "takeover_time"),
+    "events": ("episode", "driver", "time", "kind", "vehicles", "detail"),
+    "graphs": ("episode", "driver", "time", "sender", "receiver", "type", "probability"),
+}
+"""Columns without which nothing can be shown."""
+
+
+def read_json(path: Path, kind: Any) -> Any:
+    """The content of a JSON file of a run or a batch as a value of `kind`. Raises `InputError` for anything else."""
+    with guarded_reading(path, "file of a run", "run it again"):
+        return msgspec.json.decode(path.read_bytes(), type=kind)
+
+
 def read_tables(folder: Path) -> dict[str, pd.DataFrame]:
     """The tables of a run folder; an InputError says what is missing."""
     if not folder.is_dir():
@@ -228,4 +245,11 @@ def read_tables(folder: Path) -> dict[str, pd.DataFrame]:
     for name in TABLES:
         if not (folder / f"{name}.parquet").is_file():
             raise InputError(f"{folder}: no {name}.parquet in it; expected a run folder written by `cosim run`")
-    return {name: pd.read_parquet(folder / f"{name}.parquet") for name in TABLES}
+    tables = {}
+    for name in TABLES:
+        path = folder / f"{name}.parquet"
+        with guarded_reading(path, "table of a run", "run the scenario again"):
+            tables[name] = pd.read_parquet(path)
+        if missing := [column for column in NEEDED.get(name, ()) if column not in tables[name]]:
+            raise InputError(f"{path}: column {missing[0]} is missing; expected a table written by `cosim run`")
+    return tables

@@ -9,12 +9,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from cosim.runs.run_tables import read_json
 from cosim.show.episode_view import EpisodeView, InferredEdge
 from cosim.spec.input_files import checkpoint_path
 from cosim.spec.scenario import CarFollowing, Scenario, TrainedPolicy
@@ -67,7 +67,7 @@ class Term:
 
 def explanation(view: EpisodeView, run: Path) -> str:
     """The inferred graph, the drive and the largest reward terms of one episode, as text. `run` is the run folder."""
-    scenario = msgspec.json.decode((run / "scenario.json").read_bytes(), type=Scenario)
+    scenario = read_json(run / "scenario.json", Scenario)
     reward = None
     if isinstance(scenario.policy, TrainedPolicy):
         reward = checkpoint.load_reward(checkpoint_path(scenario.policy.checkpoint))

@@ -12,11 +12,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
+from cosim.runs.run_tables import read_json
 from cosim.show.episode_view import EpisodeView
 from cosim.spec.input_files import find_net
 from cosim.spec.scenario import Scenario
@@ -86,7 +86,7 @@ def replay(view: EpisodeView, poses: Sequence[Pose], run: Path) -> None:
 
 def command(view: EpisodeView, run: Path, program: str) -> list[str]:
     """The command line of sumo-gui, as a list of arguments."""
-    scenario = msgspec.json.decode((run / "scenario.json").read_bytes(), type=Scenario)
+    scenario = read_json(run / "scenario.json", Scenario)
     options = {
         "net-file": str(find_net(scenario.net)),
         "step-length": f"{scenario.step:g}",

@@ -114,6 +114,8 @@ def chunks(
     Groups are observed for AFTERMATH after the drive. Up to GROUPS_AT_ONCE groups that are far apart are driven
     together. Raises `InputError` if an intensity is out of range.
     """
+    if scenario.seed + starts // STARTS_PER_CHUNK >= 2**31:
+        raise InputError(f"--starts: {starts} starts need seeds up to 2147483648 or more; give a smaller seed")
     scenario = replace(scenario, watch=AFTERMATH, groups_at_once=GROUPS_AT_ONCE, surroundings=False)
     cells = [Cell(kind, float(x)) for kind, intensities in sweeps.items() for x in intensities]
     shared = (Cell(), *(cell for cell in cells if cell.perturbation not in TRAFFIC_KINDS))
@@ -133,8 +135,11 @@ def chunks(
 def sweeps_of(kinds: Sequence[str], intensities: Sequence[float], scenario: Scenario) -> dict[str, tuple[float, ...]]:
     """The intensities of each kind of perturbation: those given, or the defaults of the kind.
 
-    Raises `InputError` for an unknown kind, or for given intensities with several kinds.
+    Raises `InputError` for an unknown kind, for given intensities with several kinds, and for anything given twice.
     """
+    for option, given in (("--perturbation", kinds), ("--intensity", intensities)):
+        if len(set(given)) < len(given):
+            raise InputError(f"{option}: got {', '.join(map(str, given))[:200]}, expected each one once")
     own = ONE_LANE_INTENSITIES if isinstance(scenario.group, CarFollowing) else {}
     for kind in kinds:
         if kind not in KINDS:

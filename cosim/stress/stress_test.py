@@ -17,6 +17,7 @@ import pandas as pd
 
 from cosim.batch.group_statistics import cluster_note
 from cosim.process.worker_process import run_in_worker
+from cosim.runs.run_tables import read_json
 from cosim.spec.input_files import checkpoint_path, find_net, sha256
 from cosim.spec.scenario import Merge, Scenario, TrainedPolicy
 from cosim.stress import estimates, figures
@@ -62,7 +63,7 @@ def run_stress(chunks: Sequence[Chunk], folder: Path, workers: int, tell: Tell) 
     with ThreadPoolExecutor(workers) as pool:
         _finish([pool.submit(compute, chunk) for chunk in chunks if missing[chunk.key]])
     rows = pd.concat([_read_rows(chunk, paths) for chunk in chunks], ignore_index=True)
-    records = [json.loads(path.with_suffix(".json").read_text()) for path in paths.values()]
+    records = [read_json(path.with_suffix(".json"), dict[str, Any]) for path in paths.values()]
     return compared_with_sumo(rows), Computation(
         sum(part["seconds"] for part in records), sorted({part["commit"] for part in records})
     )

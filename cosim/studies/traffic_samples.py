@@ -17,7 +17,7 @@ from gri.data.ngsim.defects import clean
 from gri.data.ngsim.recordings import recordings
 from gri.data.ngsim.smoothing import Motion, Smoothing, smoothed
 from gri.data.scene_file.schema import KEY
-from gri.errors import InputError
+from gri.errors import InputError, guarded_reading
 
 SAMPLE_PERIOD = 1.0  # [s] between two samples of a vehicle
 MIN_SPEED = 1.0  # [m/s]; below it, time headways are not defined
@@ -99,7 +99,8 @@ def _samples_of_motion(name: str, motion: Motion) -> pd.DataFrame:
 
 def _samples_of_scenes(path: Path) -> pd.DataFrame:
     """A scene file; the lane is known in car following only, in which all vehicles are in one lane."""
-    table = pd.read_parquet(path)
+    with guarded_reading(path, "Parquet file", "make it again"):
+        table = pd.read_parquet(path)
     table = table[table["valid"] & ((table["time"] / SAMPLE_PERIOD) % 1 < 1e-6)]
     return pd.DataFrame(
         {
@@ -116,7 +117,8 @@ def _samples_of_scenes(path: Path) -> pd.DataFrame:
 
 
 def _samples_of_table(path: Path) -> pd.DataFrame:
-    table = pd.read_parquet(path)
+    with guarded_reading(path, "Parquet file", "make it again"):
+        table = pd.read_parquet(path)
     if missing := [name for name in COLUMNS if name not in table]:
         raise InputError(f"{path}: column {missing[0]} is missing; wanted {', '.join(COLUMNS)}, or a scene file")
     return table[list(COLUMNS)]
@@ -125,5 +127,5 @@ def _samples_of_table(path: Path) -> pd.DataFrame:
 def _metadata(path: Path) -> dict[bytes, bytes] | None:
     try:
         return pq.read_schema(path).metadata
-    except (OSError, ValueError) as error:
+    except Exception as error:
         raise InputError(f"{path}: not a readable Parquet file ({str(error).splitlines()[0]})") from None

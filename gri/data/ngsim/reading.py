@@ -23,6 +23,8 @@ from gri.progress import Progress, no_progress
 
 CHUNK = 250_000
 """Rows of one table at most."""
+LONGEST_LINE = 100_000  # bytes; a row of NGSIM has some 150
+RATIO, SMALL = 200, 64 * 2**20  # unpacked bytes per byte of a file, and what is allowed in any case; text has 3 to 20
 _FIX = "download the file again, or give one that has the official columns"
 
 
@@ -47,7 +49,7 @@ def read_chunks(path: Path, progress: Progress = no_progress) -> Iterator[pd.Dat
     size = path.stat().st_size
     try:
         with path.open("rb") as raw, _decompressed(raw, path) as stream:
-            text = io.BufferedReader(cast(io.RawIOBase, stream), 1 << 20)
+            text = io.BufferedReader(_Bounded(stream, size, path), 1 << 20)
             layout = _detect_layout(text, path)
             done = 0
             for table in _tables(text, layout):
@@ -62,6 +64,36 @@ def read_chunks(path: Path, progress: Progress = no_progress) -> Iterator[pd.Dat
         raise InputError(f"{path}: rows of different lengths ({str(error).strip()}); {_FIX}") from error
     except UnicodeDecodeError as error:
         raise InputError(f"{path}: not a text file ({error.reason}); {_FIX}") from error
+    except InputError:
+        raise
+    except Exception as error:  # of the many that pandas raises for what is no table
+        said = " ".join(str(error).split())[:120]
+        raise InputError(f"{path}: not a table of trajectories ({type(error).__name__}: {said}); {_FIX}") from error
+
+
+class _Bounded(io.RawIOBase):
+    """A stream that refuses lines and contents that no recording has, before they fill the memory."""
+
+    def __init__(self, stream: Any, size: int, path: Path) -> None:
+        self._stream, self._path = stream, path
+        self._left, self._line = max(RATIO * size, SMALL), 0
+
+    def readable(self) -> bool:
+        return True
+
+    def readinto(self, buffer: Any) -> int:
+        part = self._stream.read(len(buffer))
+        buffer[: len(part)] = part
+        self._left -= len(part)
+        if self._left < 0:
+            raise InputError(f"{self._path}: unpacks to more than {RATIO} times its size; {_FIX}")
+        end = part.rfind(b"\n")
+        longest = max((len(line) for line in part.split(b"\n")[1:-1]), default=0) if len(part) > LONGEST_LINE else 0
+        longest = max(longest, self._line + (len(part) if end < 0 else part.find(b"\n")))
+        self._line = self._line + len(part) if end < 0 else len(part) - end - 1
+        if max(longest, self._line) > LONGEST_LINE:
+            raise InputError(f"{self._path}: has a line of more than {LONGEST_LINE} bytes; {_FIX}")
+        return len(part)
 
 
 def _tables(text: "io.BufferedReader[Any]", layout: TextLayout) -> Iterator[pd.DataFrame]:

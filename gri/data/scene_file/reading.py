@@ -14,7 +14,7 @@ from gri.core.dynamics import Dynamics
 from gri.core.graph import Vocabulary, pairs
 from gri.core.trajectory import Trajectory
 from gri.data.scene_file.schema import opened, read_header
-from gri.errors import InputError
+from gri.errors import InputError, guarded_reading
 
 
 @dataclass(frozen=True)
@@ -54,45 +54,52 @@ def read(path: Path, kind: str, dynamics: Dynamics, vocabulary: Vocabulary, spli
     Errors: `InputError` if the file is not a scene file, has no such scenes or scenes of different T, does not have a
     feature of the state, or has an edge type outside the vocabulary.
     """
-    header = read_header(opened(path), path)
-    n = header.vehicles
-    filters = [("kind", "=", kind)] + ([("split", "=", split)] if split else [])
-    names = ["scene", "step", "valid", "source", "split", "vehicle", "length", *dynamics.state]
-    known = set(opened(path).schema_arrow.names)
-    more = [*(f"{word}_from_{i}" for word in ("edge", "hypothesis") for i in range(n)), "unambiguous"]
-    table = pq.read_table(path, columns=[*names, *(name for name in more if name in known)], filters=filters)
-    if not table.num_rows:
-        raise InputError(f"{path}: has no scenes of kind {kind}{f' in split {split}' if split else ''}; make some")
-    steps = int(table["step"].to_numpy().max()) + 1
-    if table.num_rows % (n * steps) or np.any(np.diff(table["scene"].to_numpy()[:: n * steps]) <= 0):
-        raise InputError(
-            f"{path}: got scenes of kind {kind} with different numbers of steps, wanted one; write a file for each"
-        )
-    shape = (-1, n, steps)
-    for name in dynamics.state:
-        if table[name].null_count:
+    with guarded_reading(path, "scene file", "make it again"):
+        header = read_header(opened(path), path)
+        n = header.vehicles
+        filters = [("kind", "=", kind)] + ([("split", "=", split)] if split else [])
+        names = ["scene", "step", "valid", "source", "split", "vehicle", "length", *dynamics.state]
+        known = set(opened(path).schema_arrow.names)
+        more = [*(f"{word}_from_{i}" for word in ("edge", "hypothesis") for i in range(n)), "unambiguous"]
+        table = pq.read_table(path, columns=[*names, *(name for name in more if name in known)], filters=filters)
+        if not table.num_rows:
+            raise InputError(f"{path}: has no scenes of kind {kind}{f' in split {split}' if split else ''}; make some")
+        steps = int(table["step"].to_numpy().max()) + 1
+        if table.num_rows % (n * steps) or np.any(np.diff(table["scene"].to_numpy()[:: n * steps]) <= 0):
             raise InputError(
-                f"{path}: column {name} has missing values for kind {kind}; {dynamics.name} needs all of them"
+                f"{path}: got scenes of kind {kind} with different numbers of steps, wanted one; write a file for each"
             )
-    state = np.stack([table[name].to_numpy().reshape(shape) for name in dynamics.state], -1)
-    valid = table["valid"].to_numpy(zero_copy_only=False).reshape(shape)
-    first = {name: table[name].to_numpy(zero_copy_only=False).reshape(shape)[:, :, 0] for name in names[3:7]}
+        shape = (-1, n, steps)
+        for name in dynamics.state:
+            if table[name].null_count:
+                raise InputError(
+                    f"{path}: column {name} has missing values for kind {kind}; {dynamics.name} needs all of them"
+                )
+        state = np.stack([table[name].to_numpy().reshape(shape) for name in dynamics.state], -1)
+        valid = table["valid"].to_numpy(zero_copy_only=False).reshape(shape)
+        if np.any(table["step"].to_numpy().reshape(shape) != np.arange(steps)) or valid.dtype != bool:
+            raise InputError(
+                f"{path}: got steps that do not count from 0, or valid that is no truth value; make it again"
+            )
+        if not np.isfinite(state.astype(float)[valid]).all():
+            raise InputError(f"{path}: has states that are not finite for kind {kind}; make the file again")
+        first = {name: table[name].to_numpy(zero_copy_only=False).reshape(shape)[:, :, 0] for name in names[3:7]}
 
-    def graph_of(word: str) -> Tensor:
-        columns = [table[f"{word}_from_{i}"].to_numpy(zero_copy_only=False).reshape(shape) for i in range(n)]
-        return torch.from_numpy(_indices(np.stack([columns[i][:, j, 0] for i, j in pairs(n)], 1), vocabulary, path))
+        def graph_of(word: str) -> Tensor:
+            columns = [table[f"{word}_from_{i}"].to_numpy(zero_copy_only=False).reshape(shape) for i in range(n)]
+            return torch.from_numpy(_indices(np.stack([columns[i][:, j, 0] for i, j in pairs(n)], 1), vocabulary, path))
 
-    reduced = "unambiguous" in known and not table["unambiguous"].null_count
-    return Recorded(
-        Trajectory(torch.from_numpy(state).float(), torch.from_numpy(valid.copy()), header.dt),
-        graph_of("edge"),
-        first["source"][:, 0],
-        first["split"][:, 0],
-        first["vehicle"],
-        torch.from_numpy(np.nan_to_num(first["length"].astype(np.float32))),
-        graph_of("hypothesis") if reduced else None,
-        torch.from_numpy(table["unambiguous"].to_numpy().reshape(shape)[:, 0, 0].copy()) if reduced else None,
-    )
+        reduced = "unambiguous" in known and not table["unambiguous"].null_count
+        return Recorded(
+            Trajectory(torch.from_numpy(state).float(), torch.from_numpy(valid.copy()), header.dt),
+            graph_of("edge"),
+            first["source"][:, 0],
+            first["split"][:, 0],
+            first["vehicle"],
+            torch.from_numpy(np.nan_to_num(first["length"].astype(np.float32))),
+            graph_of("hypothesis") if reduced else None,
+            torch.from_numpy(table["unambiguous"].to_numpy().reshape(shape)[:, 0, 0].copy()) if reduced else None,
+        )
 
 
 def read_step_edges(path: Path, kind: str, vocabulary: Vocabulary, split: str) -> Int[np.ndarray, "S E T"]:
@@ -100,18 +107,20 @@ def read_step_edges(path: Path, kind: str, vocabulary: Vocabulary, split: str) -
 
     Errors: `InputError` if the file does not have them, or has an edge type outside the vocabulary.
     """
-    n = read_header(opened(path), path).vehicles
-    table = _columns(path, [f"step_edge_from_{i}" for i in range(n)], kind, split)
-    columns = [table[:, :, :, i] for i in range(n)]
-    names = np.stack([columns[i][:, j] for i, j in pairs(n)], 1)
-    if any(name is None for name in names.ravel()):
-        raise InputError(f"{path}: has no edges per step for kind {kind}; make the file again")
-    return _indices(names.reshape(len(names), -1), vocabulary, path).reshape(names.shape)
+    with guarded_reading(path, "scene file", "make it again"):
+        n = read_header(opened(path), path).vehicles
+        table = _columns(path, [f"step_edge_from_{i}" for i in range(n)], kind, split)
+        columns = [table[:, :, :, i] for i in range(n)]
+        names = np.stack([columns[i][:, j] for i, j in pairs(n)], 1)
+        if any(name is None for name in names.ravel()):
+            raise InputError(f"{path}: has no edges per step for kind {kind}; make the file again")
+        return _indices(names.reshape(len(names), -1), vocabulary, path).reshape(names.shape)
 
 
 def read_lateral(path: Path, kind: str, split: str) -> Float[np.ndarray, "S N T"]:
     """Lateral positions y [m] of the scenes that `read` reads."""
-    return _columns(path, ["y"], kind, split)[..., 0].astype(float)
+    with guarded_reading(path, "scene file", "make it again"):
+        return _columns(path, ["y"], kind, split)[..., 0].astype(float)
 
 
 def _columns(path: Path, names: Sequence[str], kind: str, split: str) -> np.ndarray:
@@ -124,10 +133,11 @@ def _columns(path: Path, names: Sequence[str], kind: str, split: str) -> np.ndar
 
 def scene_counts(path: Path) -> set[tuple[str, str]]:
     """The pairs (kind, split) for which a file has scenes. Errors: `InputError` if it is not a scene file."""
-    read_header(opened(path), path)
-    table = pq.read_table(path, columns=["kind", "split"]).unify_dictionaries()
-    found = table.group_by(["kind", "split"]).aggregate([])
-    return set(zip(found["kind"].to_pylist(), found["split"].to_pylist(), strict=True))
+    with guarded_reading(path, "scene file", "make it again"):
+        read_header(opened(path), path)
+        table = pq.read_table(path, columns=["kind", "split"]).unify_dictionaries()
+        found = table.group_by(["kind", "split"]).aggregate([])
+        return set(zip(found["kind"].to_pylist(), found["split"].to_pylist(), strict=True))
 
 
 def joined(parts: Sequence[Recorded]) -> Recorded:

@@ -19,7 +19,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from gri.core.edges import EdgeType, pairs
-from gri.errors import InputError
+from gri.errors import InputError, guarded_reading
 
 FORMAT, VERSION = "gri-scenes", 1
 KEY = b"gri.scenes"
@@ -27,6 +27,8 @@ FEATURES = ("x", "y", "vx", "vy", "ax", "ay", "v", "a", "heading", "yaw_rate")
 """State columns in SI units, for all dynamics together. Columns that a source does not have are null."""
 ROWS = 300_000
 """Rows of one row group at most."""
+MOST_ROWS, ROWS_PER_BYTE = 100_000_000, 10
+"""Rows of a file at most: a row has some twenty columns, of which numbers such as x cannot be compressed away."""
 
 
 @dataclass(frozen=True)
@@ -238,10 +240,12 @@ def names_of(edges: Mapping[tuple[int, int], EdgeType], n: int = 3) -> np.ndarra
 
 def opened(path: Path) -> pq.ParquetFile:
     """An opened Parquet file. Errors: `InputError` if it is not readable as Parquet."""
-    try:
-        return pq.ParquetFile(path)
-    except (OSError, pa.ArrowException) as error:
-        raise InputError(f"{path}: not a readable scene file ({str(error).splitlines()[0]}); make it again") from error
+    with guarded_reading(path, "scene file", "make it again"):
+        file = pq.ParquetFile(path)
+        rows, size = file.metadata.num_rows, path.stat().st_size
+        if rows > MOST_ROWS or rows > ROWS_PER_BYTE * size + ROWS:
+            raise InputError(f"{path}: claims {rows:,} rows in {size:,} bytes; make the file again, or split it")
+        return file
 
 
 def read_header(file: pq.ParquetFile, path: Path) -> Header:
@@ -251,9 +255,15 @@ def read_header(file: pq.ParquetFile, path: Path) -> Header:
         raise InputError(
             f"{path}: a Parquet file, but not a scene file; give one of `gri ngsim scenes` or `cosim scenes`"
         )
-    header = msgspec.json.decode(text, type=Header)
+    with guarded_reading(path, "scene file", "make it again"):
+        header = msgspec.json.decode(text, type=Header)
     if (header.format, header.version) != (FORMAT, VERSION):
         raise InputError(
             f"{path}: got {header.format} {header.version}, this release reads {FORMAT} {VERSION}; make the file again"
+        )
+    if not 0.01 <= header.dt <= 10 or not 1 <= header.vehicles <= 1000:
+        raise InputError(
+            f"{path}: got a step of {header.dt} s and {header.vehicles} vehicles, expected 0.01 to 10 s and 1 to 1000"
+            " vehicles; make the file again"
         )
     return header

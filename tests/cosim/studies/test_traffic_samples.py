@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cosim.runs.run_tables import TABLES
+from cosim.runs.run_tables import NEEDED, TABLES
 from cosim.studies.traffic_samples import COLUMNS, recorded_samples, run_samples, with_headways
 from gri.errors import InputError
 
@@ -96,9 +96,10 @@ def test_a_run_gives_the_driven_vehicles_once_a_second(tmp_path):
         for role in range(3)
     ]
     names = ["driver", "time", "role", "vehicle", "present", "during_drive", "v", "a", "gap"]
-    pd.DataFrame(rows, columns=names).to_parquet(tmp_path / "steps.parquet")
+    steps = pd.DataFrame(rows, columns=names).assign(episode=0, driven=True, s=0.0, d=0.0)
+    steps.to_parquet(tmp_path / "steps.parquet")
     for other in set(TABLES) - {"steps"}:
-        pd.DataFrame({"x": []}).to_parquet(tmp_path / f"{other}.parquet")
+        pd.DataFrame(columns=list(NEEDED.get(other, ("x",)))).to_parquet(tmp_path / f"{other}.parquet")
     found = run_samples(tmp_path)
     assert found.groupby("driver")["time"].unique().map(list).tolist() == [[601.0, 602.0]] * 2
     assert set(found["vehicle"]) == {"v0", "v1"}
