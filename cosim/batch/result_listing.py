@@ -89,13 +89,13 @@ def overview_table(groups: pd.DataFrame, by: str) -> Table:
     lines, records = [], []
     for _, row in _in_order(group_statistics.headline(groups, shown), shown).iterrows():
         labels = ["" if pd.isna(row[name]) else f"{row[name]}" for name in shown]
-        counts = [group_statistics.starts_text(row["starts"], row["groups"]), str(row["interrupted"])]
+        counts = [group_statistics.starts_text(row["starts"], row["groups"]), row["broken_up"]]
         lines.append([*labels, *counts, *(interval(measure, row[measure.name]) for measure in MEASURES)])
         estimates = {name: value for measure in MEASURES for name, value in _record(measure, row[measure.name]).items()}
-        records.append({name: row[name] for name in (*shown, "starts", "groups", "interrupted")} | estimates)
+        records.append({name: row[name] for name in (*shown, "starts", "groups", "broken_up")} | estimates)
     return Table(
         "results",
-        [*shown, "starts", "interrupted", *map(_title, MEASURES)],
+        [*shown, "starts", "broken up by", *map(_title, MEASURES)],
         lines,
         records,
         note=f"95 % intervals. {group_statistics.cluster_note(groups)}",

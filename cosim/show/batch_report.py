@@ -90,7 +90,7 @@ def _headline(groups: pd.DataFrame) -> dict[str, Any]:
         "rows": [
             {
                 "labels": _labels(row, order),
-                "counts": [group_statistics.starts_text(row["starts"], row["groups"]), row["interrupted"]],
+                "counts": [group_statistics.starts_text(row["starts"], row["groups"]), row["broken_up"]],
                 "figures": [_value_and_interval(row[measure.name], measure.unit) for measure in MEASURES],
             }
             for row in table

@@ -15,7 +15,8 @@ The outcome (completed without contact, contact, completed, order kept) is over 
 groups as completed that broke up by no known fault of the policy. All other measures are over the n starts whose group
 did not break up. Values are shares, medians over starts, or means (Δy, and the follower's braking and speed loss), with
 95 % intervals in brackets. {clusters}
-"Contacts" lists who ran into whom by role: 0→1 means that vehicle 0 ran into vehicle 1; "other" is background traffic.
+"Contacts" lists which vehicle drove into which by role: 0→1 means that vehicle 0 drove into vehicle 1; "other" is
+background traffic. They count until 10 s after the hand-back.
 docs/stress.md describes the measures and the perturbations.
 """
 PAIRED = """\
@@ -68,7 +69,7 @@ def _unit(unit: str) -> str:
 
 def _estimates_table(kinds: list[str], counts: pd.DataFrame, estimates: pd.DataFrame) -> str:
     titles = [measure.title + _unit("%" if measure.share else measure.unit) for measure in MEASURES]
-    head = ["intensity", "policy", "n", "infeasible", "interrupted", *titles, "contacts"]
+    head = ["intensity", "policy", "n", "infeasible", "broken up by", *titles, "contacts"]
     shown = ["value", "low", "high", "most"]
     known = {(*_key(row), row["measure"]): tuple(row[shown]) for _, row in estimates.iterrows()}
     rows = []
@@ -77,7 +78,7 @@ def _estimates_table(kinds: list[str], counts: pd.DataFrame, estimates: pd.DataF
             _value(known.get((*_key(row), measure.name)), 100.0 if measure.share else 1.0) for measure in MEASURES
         ]
         infeasible = f"{row['infeasible']}" + (f" ({row['why']})" if row["why"] else "")
-        first = [_intensity(row), row["policy"], str(row["n"]), infeasible, str(row["interrupted"])]
+        first = [_intensity(row), row["policy"], str(row["n"]), infeasible, row["broken_up"]]
         rows.append([*first, *values, row["hits"] or "-"])
     return markdown_table(head, rows)
 
