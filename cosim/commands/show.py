@@ -13,16 +13,24 @@ Format = Literal["html", "gif", "mp4", "png"]
 
 
 def report(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A run folder, or the folder of a batch.")],
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of a run, a batch or a stress test.")],
     episode: Annotated[int | None, typer.Option(help="For a run: episode to draw; default: the most eventful.")] = None,
     out: Annotated[
         Path | None, typer.Option(help="For a batch: file to write; default: report.html in its folder.")
     ] = None,
     table_format: FormatOption = "table",
 ) -> None:
-    """Show a run as a table and picture, a batch as an HTML file."""
+    """Show a run as a table and picture, a batch as an HTML file.
+
+    Of a stress test, its tables, figures and Markdown page are written again.
+    """
     if (folder / "runs").is_dir():
         return _batch_report(folder, out or folder / "report.html")
+    if (folder / "stress.json").is_file():
+        from cosim.stress.stress_test import publish_again
+
+        publish_again(folder)
+        return say(f"Report: {folder / 'stress.md'}")
     from cosim.runs.episode_figure import picture
     from cosim.runs.run_tables import read_tables
     from cosim.runs.summary import summary_table

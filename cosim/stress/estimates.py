@@ -56,7 +56,8 @@ def counted(rows: pd.DataFrame) -> pd.DataFrame:
 def counts(rows: pd.DataFrame) -> pd.DataFrame:
     """One row per cell and policy with numbers of starts.
 
-    Columns: starts, infeasible (with reasons in `why`), interrupted, n (counted), and hits (contacts, e.g. "2 0→1").
+    Columns: starts, infeasible (with reasons in `why`), interrupted, n (counted), broken_up (by whom),
+    and hits (contacts, e.g. "2 0→1").
     """
     found = []
     for key, part in rows.groupby(CELL, dropna=False, sort=False):
@@ -69,6 +70,7 @@ def counts(rows: pd.DataFrame) -> pd.DataFrame:
                 "why": _frequencies(part.loc[part["infeasible"] != "", "infeasible"]),
                 "interrupted": len(started) - len(complete),
                 "n": len(complete),
+                "broken_up": _frequencies(started.loc[started["broken_up_by"] != "", "broken_up_by"]),
                 "hits": _frequencies(started.loc[started["contact_with"] != "", "contact_with"]),
             }
         )
