@@ -126,7 +126,11 @@ def interval(measure: Measure, estimate: Estimate) -> str:
         return "-"
     factor = 100 if measure.unit == "share" else 1
     value, low, high = (factor * number for number in (estimate.value, estimate.low, estimate.high))
-    shown = f"{value:.1f}" if not estimate.most > estimate.value else f"{value:.1f} up to {factor * estimate.most:.1f}"
+    shown = (
+        f"{value:.1f}"
+        if not estimate.most > estimate.value
+        else f"{value:.1f}{NBSP}up{NBSP}to{NBSP}{factor * estimate.most:.1f}"
+    )
     return shown if np.isnan(low) else f"{shown}\n({low:.1f},{NBSP}{high:.1f})"
 
 

@@ -66,7 +66,7 @@ def summary_records(groups: pd.DataFrame) -> list[dict[str, Any]]:
                 found = values.agg(["min", "median", "mean", "max"])
                 record |= {f"{name}_{which}": float(value) for which, value in found.items()}
             else:
-                record |= {f"{name}_{kind}": int(n) for kind, n in values.value_counts().items()}
+                record |= {f"{name}_{kind}": int(n) for kind, n in values.value_counts().items() if kind != ""}
         records.append(record)
     return records
 
