@@ -13,6 +13,7 @@ from cosim.batch.result_listing import correction_note, groups_of, p_value
 from cosim.batch.store import BatchStore
 from cosim.measures.statistics import Estimate, PairedTest, with_correction
 from cosim.runs.run_tables import read_tables
+from cosim.runs.summary import shortest_time
 from cosim.show import graph_drawing, svg_charts
 from cosim.show.animation import script_of
 from cosim.show.episode_view import episode_view
@@ -157,7 +158,8 @@ def _episodes(store: BatchStore, groups: pd.DataFrame) -> list[dict[str, Any]]:
     for _, row in worst_episodes(groups, SHOWN_EPISODES).iterrows():
         folder = store.run_folder(str(row["run"]))
         view = episode_view(read_tables(folder), int(row["episode"]))
-        found.append({"row": row, "folder": folder, "view": view, "data": script_of(view)})
+        shown = {"row": row, "folder": folder, "view": view, "data": script_of(view)}
+        found.append(shown | {"shortest_ttc": shortest_time(float(row["min_ttc"]))})
     return found
 
 
