@@ -80,8 +80,6 @@ def own_name(policy: object) -> str:
     return name
 
 
-
-
 def _loaded(path: Path) -> ModuleType:
     """The module of a file, under a name of its own; modules beside it can be imported by it."""
     spec = spec_from_file_location(f"own_policy_{path.stem}", path)
