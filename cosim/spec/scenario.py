@@ -183,6 +183,11 @@ def tag_of(choice: GroupRule | Driver | Perturbation) -> str:
     return str(choice.__struct_config__.tag)
 
 
+def policy_name(choice: Driver) -> str:
+    """The name of a policy before it is loaded: its kind; for an own policy, the class or function in its file."""
+    return choice.object.rpartition(":")[2] if isinstance(choice, UserPolicy) else tag_of(choice)
+
+
 class Scenario(Spec, frozen=True, kw_only=True):
     """One closed-loop experiment. Durations in s; `traffic` may be the name or path of a traffic file.
 
