@@ -95,8 +95,7 @@ def test_every_outcome_of_a_stress_page_is_what_the_rows_say(name):
             part = part[part["policy"] == cells[1]]
             facts = ("completed_without_contact", "contact", "order_kept")
             assert cells[2] == str(len(part))
-            assert [int(cell.split()[0]) for cell in cells[3:6]] == [
-                round(100 * part[fact].astype(bool).mean()) for fact in facts
-            ], line
+            wanted = [f"{100 * part[fact].astype(bool).mean():.0f}" if len(part) else "-" for fact in facts]
+            assert [cell.split()[0] for cell in cells[3:6]] == wanted, line
             checked += 1
     assert checked > 50

@@ -91,7 +91,7 @@ def statistics(seed: int) -> TrafficStatistics:
 
 
 def distances() -> Table:
-    estimate = Estimate(12.34, 11.22, 13.45, 500)
+    estimate = Estimate(12.34, 11.22, 13.45, 500, clusters=100)
     return _table(
         [
             Distance(part, quantity, (500, 600), (23.45, 24.56), estimate, estimate, (0.12, 0.23))

@@ -42,7 +42,8 @@ def test_from_an_official_file_to_a_scored_model(here: Path):
     assert f"Next: gri ngsim scenes {official}" in report
     assert "[m]" in report, "units are no markup"
     assert "[m/s]" in report
-    sizes = json.loads(run("ngsim", "inspect", official, "--format", "json"))["recordings"][0]
+    printed = run("ngsim", "inspect", official, "--format", "json")  # progress is in the output of this runner, too
+    sizes = json.loads(printed[printed.index("\n{") : printed.rindex("}") + 1])["recordings"][0]
     assert sizes["vehicles"] == len(pd.read_csv(official, sep=r"\s+", header=None)[0].unique())
     assert "Next: gri train ngsim_car_following --ngsim scenes.parquet" in run(
         "ngsim", "scenes", official, "--out", "scenes.parquet"
