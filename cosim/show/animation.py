@@ -48,8 +48,8 @@ def data_of(view: EpisodeView) -> dict[str, Any]:
 
 
 def script_of(view: EpisodeView) -> str:
-    """The data as JSON text that is safe inside a script element."""
-    return json.dumps(data_of(view), separators=(",", ":")).replace("</", "<\\/")
+    """The data as JSON text that is safe inside a script element: no `<`, so that nothing in it can be a tag."""
+    return json.dumps(data_of(view), separators=(",", ":")).replace("<", "\\u003c")
 
 
 def html(view: EpisodeView, title: str) -> str:
