@@ -52,7 +52,7 @@ def groups_of(store: BatchStore) -> pd.DataFrame:
 def _ordered(table: Path, runs: list[str]) -> pd.DataFrame:
     with guarded_reading(table, "table of a batch", "run `cosim batch` again with a new --out"):
         rows = pd.read_parquet(table)
-    rows["run"] = pd.Categorical(rows["run"].astype(str), list(runs), ordered=True)
+    rows["run"] = pd.Categorical(rows["run"].astype(str), runs, ordered=True)
     return rows.sort_values(["run", "episode"], ignore_index=True).astype({"run": str})
 
 
@@ -111,12 +111,10 @@ def _in_order(table: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
 
 def _record(measure: Measure, estimate: Estimate) -> dict[str, float]:
     """The numbers of an estimate in the unit of the measure; shares between 0 and 1."""
-    return {
-        measure.name: estimate.value,
-        f"{measure.name}_low": estimate.low,
-        f"{measure.name}_high": estimate.high,
-        f"{measure.name}_most": estimate.most,
-    }
+    numbers = {"": estimate.value, "_low": estimate.low, "_high": estimate.high}
+    if measure.most is not None:
+        numbers["_most"] = estimate.most
+    return {f"{measure.name}{end}": value for end, value in numbers.items()}
 
 
 def _title(measure: Measure) -> str:
@@ -124,7 +122,7 @@ def _title(measure: Measure) -> str:
 
 
 def interval(measure: Measure, estimate: Estimate) -> str:
-    """An estimate with its upper bound and its interval, where it has them; shares in percent."""
+    """An estimate with its upper bound, and its interval in a second line, where it has them; shares in percent."""
     if not estimate.n:
         return "-"
     factor = 100 if measure.unit == "share" else 1
@@ -141,8 +139,8 @@ def comparison_table(groups: pd.DataFrame, names: str) -> Table:
         raise InputError(f"--compare {names}: expected two of {', '.join(known)}, separated by a comma")
     a, b = chosen
     pairs = group_statistics.paired_starts(groups, a, b, every_start=True)[0]
-    starts, found = group_statistics.count_starts(pairs), group_statistics.differences(groups, a, b)
-    tests = [(BY_NAME[name], test) for name, test in found.items()]
+    starts = group_statistics.count_starts(pairs)
+    tests = [(BY_NAME[name], test) for name, test in group_statistics.differences(groups, a, b).items()]
     return Table(
         "comparison",
         ["measure", "difference (95 % interval)", "p"],
@@ -152,11 +150,12 @@ def comparison_table(groups: pd.DataFrame, names: str) -> Table:
         ],
         [
             {"measure": measure.name, "unit": measure.unit, "difference": test.difference.value}
-            | {"low": test.difference.low, "high": test.difference.high, "p": test.p, "starts": starts}
+            | {"low": test.difference.low, "high": test.difference.high, "p": test.p}
+            | {"p_corrected": test.p_corrected, "starts": starts, "groups": len(pairs)}
             for measure, test in tests
         ],
         title=f"{a} − {b} on the same starts: {group_statistics.starts_text(starts, len(pairs))}",
-        note=f"{correction_note(found.values())} {group_statistics.cluster_note(pairs)}",
+        note=f"{correction_note([test for _, test in tests])} {group_statistics.cluster_note(pairs)}",
     )
 
 

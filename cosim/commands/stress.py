@@ -57,10 +57,10 @@ def stress(
     The same command continues a stress test that was stopped.
     """
     from cosim.spec.loading import load_scenario
+
+    chosen, grades = load_scenario(scenario, max_work=max_work), _numbers(intensity)  # mistakes need not wait for torch
     from cosim.stress.plan import chunks, policies_of, sweeps_of
 
-    chosen = load_scenario(scenario, max_work=max_work)
-    grades = _numbers(intensity)
     sweeps = sweeps_of(_words(perturbation), grades, chosen)
     policies = policies_of(_words(policy), chosen)
     from cosim.stress.stress_test import publish, run_stress

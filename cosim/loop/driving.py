@@ -15,6 +15,7 @@ from cosim.loop.graph_source import graph_from_source, keep_where_unknown
 from cosim.loop.intervention import Intervention, NoIntervention
 from cosim.loop.observation import GroupObservation
 from cosim.loop.policy_runner import PolicyRunner
+from cosim.loop.returning_vehicles import ReturningVehicles
 from cosim.loop.round_recorder import Round, RoundRecorder, hard_braking
 from cosim.loop.state_layouts import layout_of
 from cosim.loop.take_over_and_hand_back import Control, PolicyControl, SumoControl
@@ -92,7 +93,8 @@ def start_round(
         channels=intervention.channels(layout, observations),
     )
     runner.decide(now.time)
-    return RoundStart(PolicyControl(driver.name, this_round, runner), intervention, now, observations)
+    returning = ReturningVehicles(this_round.dt, this_round.lanes)
+    return RoundStart(PolicyControl(driver.name, this_round, runner, returning), intervention, now, observations)
 
 
 def _graph_to_use(
@@ -125,11 +127,12 @@ def drive(world: Sumo, road: RoadFrame, start: RoundStart) -> list[Episode]:
         observation = control.verify(observation, active, recorder)
         recorder.judge(observation, before, now, report, last=step == this_round.driven_steps)
         recorder.end_failed(control.failures, before.time, now.time)
-        control.hand_back(world, recorder, observation, ended=set(active) - set(recorder.active))
+        control.hand_back(world, road, recorder, observation, now, ended=set(active) - set(recorder.active))
         control.observe(intervention.shown_to_policy(observation, now), recorder.active)
         observations.append(observation.with_last_known_states(before))
         trace.append(now)
     for watched in range(step, step + this_round.watched_steps):
+        control.command(world, road, (), now)
         intervention.command(world, road, watched, control.roles, now)
         world.step()
         now, observation = intervention.observe(world, road, observations[-1])

@@ -13,10 +13,10 @@ from cosim.measures.collision_detection import overlapping_pairs
 from cosim.spec.scenario import GroupRule, Merge
 from cosim.world.episode import COLUMNS, Ending, Event, EventKind
 from cosim.world.groups import Group, MergeLanes, next_ahead
+from cosim.world.hand_back_columns import BRAKING, BRAKING_WINDOW
 from cosim.world.snapshot import Snapshot, StepReport
 
 PLACEMENT_TOLERANCE = 1e-6  # [m], [m/s]
-HARD_BRAKING = 4.5  # [m/s^2]
 CONTACT_ROLES = 2  # the roles 0 and 1 are tested for contacts, driven or not
 _S, _D, _V, _A = (COLUMNS.index(name) for name in ("s", "d", "v", "a"))
 
@@ -65,6 +65,7 @@ class RoundRecorder:
         self.endings: dict[int, Ending] = {}
         self.ends: dict[int, float] = {}
         self.events: list[list[Event]] = [[] for _ in this_round.groups]
+        self.touching: dict[int, list[tuple[str, ...]]] = {}  # pairs in contact when a group ended, the rear one first
 
     def add(self, g: int, event: Event) -> None:
         """Record an event of a group."""
@@ -187,7 +188,8 @@ class RoundRecorder:
                 self.events[g] += [Event(observation.time, kind, pair) for pair in own]
             teleported = [vehicle for vehicle in report.teleported if vehicle in members]
             self.events[g] += [Event(observation.time, EventKind.TELEPORT, (vehicle,)) for vehicle in teleported]
-            if any(pair & members for pair in ours):
+            if touching := sorted(_rear_first(snapshot, pair) for pair in ours if pair & members):
+                self.touching[g] = touching
                 in_contact.add(g)
         return in_contact
 
@@ -201,11 +203,12 @@ def _rear_first(snapshot: Snapshot, pair: frozenset[str]) -> tuple[str, ...]:
 def hard_braking(
     observations: Sequence[GroupObservation], g: int, group: Group, driven_roles: Sequence[int], end: float
 ) -> tuple[Event, ...]:
-    """The first hard braking of each handed-back vehicle after the end of the drive."""
-    found, later = [], [observation for observation in observations if observation.time > end]
+    """The first braking of 3 m/s² or more of each handed-back vehicle, within 5 s after the end of the drive."""
+    until = end + BRAKING_WINDOW + 1e-6
+    found, later = [], [observation for observation in observations if end + 1e-6 < observation.time <= until]
     for role in driven_roles:
         for observation in later:
-            if observation.valid[g, role] and observation.state[g, role, _A] < -HARD_BRAKING:
+            if observation.valid[g, role] and observation.state[g, role, _A] <= -BRAKING[1]:
                 detail = f"{observation.state[g, role, _A]:.2f} m/s^2"
                 found.append(Event(observation.time, EventKind.HARD_BRAKING, (group.ids[role],), detail))
                 break

@@ -65,10 +65,13 @@ def place(
     lanes: MergeLanes,
     now: Snapshot,
     dt: float,
+    *,
+    announcing: bool = True,
 ) -> str:
     """Add, move or remove the shadow of a vehicle whose next pose is (s, d, heading relative to the road, v).
 
-    Returns the lane that SUMO is to assign the vehicle itself to.
+    A vehicle that is on its own lane alone has a shadow only if it is `announcing` a merge. Returns the lane that SUMO
+    is to assign the vehicle itself to.
     """
     s, d, heading, v = pose
     row = now.row_of.get(vehicle)
@@ -79,7 +82,10 @@ def place(
     others[row] = False
     wanted = shadow_placement(s, d, float(now.width[row]), lanes)
     announces = wanted.shadow_lane is not None and not wanted.own_lane
-    if wanted.shadow_lane is None or (announces and not is_free(s, float(now.length[row]), lanes, now, others, dt)):
+    if wanted.shadow_lane is None or (announces and not announcing):
+        world.remove_shadow(vehicle)
+        return wanted.own_lane
+    if announces and not is_free(s, float(now.length[row]), lanes, now, others, dt):
         world.remove_shadow(vehicle)
         return wanted.own_lane
     xy, along = road.to_world(np.array([s]), np.array([wanted.shadow_d]))

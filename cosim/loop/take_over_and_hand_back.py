@@ -9,24 +9,34 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import ClassVar
 
+import numpy as np
+
 from cosim.loop import shadow_vehicles
 from cosim.loop.observation import GroupObservation
 from cosim.loop.policy_runner import PolicyRunner
+from cosim.loop.returning_vehicles import ReturningVehicles, stop_of
 from cosim.loop.round_recorder import Round, RoundRecorder
 from cosim.sumo import Sumo
-from cosim.world.episode import Event, EventKind
+from cosim.world.episode import COLUMNS, Ending, Event, EventKind
 from cosim.world.road_frame import RoadFrame
 from cosim.world.snapshot import Snapshot
 from gri.core.graph import InteractionGraph
 
+_A = COLUMNS.index("a")
+CONTACT_BRAKING = 4.0, 8.0  # [m/s²] of the slower and the faster vehicle after a contact, so that they come apart
+
 
 @dataclass(frozen=True)
 class PolicyControl:
-    """The control of a policy over the driven roles of a round; `name` is the driver's name in the tables."""
+    """The control of a policy over the driven roles of a round; `name` is the driver's name in the tables.
+
+    `returning` are the vehicles that were handed back and are not yet on their own.
+    """
 
     name: str
     round: Round
     runner: PolicyRunner
+    returning: ReturningVehicles
 
     @property
     def roles(self) -> tuple[int, ...]:
@@ -56,7 +66,11 @@ class PolicyControl:
         self.runner.decide(time)
 
     def command(self, world: Sumo, road: RoadFrame, active: Sequence[int], now: Snapshot) -> None:
-        """Tell SUMO the next poses of the driven vehicles; a vehicle between two lanes becomes visible in both."""
+        """Tell SUMO the next poses of the driven vehicles of the active groups, and guide those handed back.
+
+        A vehicle between two lanes becomes visible in both.
+        """
+        self.returning.command(world, road, now)
         this_round, pose = self.round, self.runner.pose
         xy, along = road.to_world(pose.s.ravel(), pose.d.ravel())
         points, headings, speeds = xy.tolist(), (along + pose.heading.ravel()).tolist(), pose.v.ravel().tolist()
@@ -77,16 +91,51 @@ class PolicyControl:
         recorder.verify(observation, self.runner.pose)
         return self.runner.with_commanded_acceleration(observation, active)
 
-    def hand_back(self, world: Sumo, recorder: RoundRecorder, observation: GroupObservation, ended: Set[int]) -> None:
-        """Hand the driven vehicles of the groups that ended back to SUMO's drivers, at once."""
+    def hand_back(
+        self,
+        world: Sumo,
+        road: RoadFrame,
+        recorder: RoundRecorder,
+        observation: GroupObservation,
+        now: Snapshot,
+        ended: Set[int],
+    ) -> None:
+        """Begin to hand the driven vehicles of the groups that ended back to SUMO's drivers, or to stop them."""
+        pose = self.runner.pose
         for g in sorted(ended):
             ids = self.round.groups[g].ids
+            must_stop = self._must_stop(world, recorder, observation, now, g)
+            for vehicle, braking in must_stop.items():
+                a = observation.state[g, ids.index(vehicle), _A] if vehicle in ids else now.a[now.row_of[vehicle]]
+                self.returning.stop(world, vehicle, stop_of(now, road, vehicle, float(a), braking))
             for role in self.round.driven_roles:
-                world.remove_shadow(ids[role])
-                if observation.valid[g, role]:
-                    world.release(ids[role])
+                if ids[role] not in must_stop and observation.valid[g, role]:
+                    lateral_speed = float(pose.v[g, role] * np.sin(pose.heading[g, role]))
+                    a, checked = float(observation.state[g, role, _A]), recorder.endings[g] is not Ending.CONTACT
+                    self.returning.hand_back(world, ids[role], a, lateral_speed, checked=checked)
+                elif not observation.valid[g, role]:
+                    world.remove_shadow(ids[role])
             event = Event(observation.time, EventKind.HANDED_BACK, self.round.driven_ids(g), recorder.endings[g].value)
             recorder.add(g, event)
+
+    def _must_stop(
+        self, world: Sumo, recorder: RoundRecorder, observation: GroupObservation, now: Snapshot, g: int
+    ) -> dict[str, float]:
+        """The vehicles that must brake to a standstill where a group ended, with their braking [m/s²].
+
+        These are both vehicles of a contact, vehicle 0 at the end of its lane, and driven vehicles beside the road. An
+        outsider in contact stops too, unless others command it, as they do recorded vehicles.
+        """
+        ids, ending = self.round.groups[g].ids, recorder.endings[g]
+        driven = {ids[role] for role in self.round.driven_roles if observation.valid[g, role]}
+        must_stop = {v for v in driven if not now.lane[now.row_of[v]] or (ending is Ending.LANE_END and v == ids[0])}
+        braking = {vehicle: world.drivers.braking(vehicle) for vehicle in sorted(must_stop)}
+        for pair in recorder.touching.get(g, ()):
+            by_speed = sorted(pair, key=lambda vehicle: now.v[now.row_of[vehicle]])
+            for vehicle, value in zip(by_speed, CONTACT_BRAKING, strict=True):
+                if vehicle in driven or not world.is_taken(vehicle):
+                    braking[vehicle] = max(value, braking.get(vehicle, 0.0))
+        return braking
 
     def observe(self, observation: GroupObservation, active: Sequence[int]) -> None:
         """Show the policy the new states."""
@@ -116,7 +165,15 @@ class SumoControl:
         del active, recorder
         return observation
 
-    def hand_back(self, world: Sumo, recorder: RoundRecorder, observation: GroupObservation, ended: Set[int]) -> None:
+    def hand_back(
+        self,
+        world: Sumo,
+        road: RoadFrame,
+        recorder: RoundRecorder,
+        observation: GroupObservation,
+        now: Snapshot,
+        ended: Set[int],
+    ) -> None:
         """Hand nothing back."""
 
     def observe(self, observation: GroupObservation, active: Sequence[int]) -> None:

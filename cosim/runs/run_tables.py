@@ -24,7 +24,8 @@ from jaxtyping import Bool
 
 from cosim.measures.surrogate_safety import BRAKING, brakings
 from cosim.spec.input_files import sha256
-from cosim.world.episode import COLUMNS, Episode, EventKind
+from cosim.world.episode import COLUMNS, Episode
+from cosim.world.hand_back_columns import hand_back_columns
 from cosim.world.outcome_columns import outcome_columns
 from cosim.world.safety import safety_measures, track_of_role
 from gri.core.graph import EdgeType, pairs
@@ -99,7 +100,7 @@ def _group(number: int, episode: Episode, expected: Mapping[tuple[int, int], Edg
         **_brakings(episode, way, ""),
         **_brakings(episode, episode.time > episode.end + 1e-6, "_after"),
         "min_acceleration_after": float(np.where(after, episode.feature("a")[:, :2], np.inf).min()),
-        "hard_braking_after": sum(event.kind is EventKind.HARD_BRAKING for event in episode.events),
+        **hand_back_columns(episode),
     }
 
 

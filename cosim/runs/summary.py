@@ -6,6 +6,7 @@ from typing import Any
 import pandas as pd
 
 from cosim.world.episode import ARRIVED, INTERRUPTED, Ending
+from cosim.world.hand_back_columns import BRAKING
 from cosim.world.outcome_columns import headline
 from gri.table import Table
 
@@ -144,6 +145,13 @@ def _hardest_braking(groups: pd.DataFrame) -> str:
     return f"{groups['min_acceleration'].min():.1f} / {groups['min_acceleration_after'].min():.1f}"
 
 
+def _braking_after(groups: pd.DataFrame) -> str:
+    """Groups that brake hard within 5 s of the hand-back; tables of version 0.1 do not say it."""
+    if "braking_after" not in groups:
+        return "-"
+    return _of(int((groups["braking_after"] >= BRAKING[1]).sum()), int(groups["braking_after"].notna().sum()))
+
+
 _ROWS: tuple[Row, ...] = (
     ("groups", lambda g: str(len(g))),
     ("completed without contact", _completed_without_contact),
@@ -164,5 +172,5 @@ _ROWS: tuple[Row, ...] = (
     ("mean speed [m/s]", lambda g: f"{g['mean_speed'].mean():.1f}"),
     ("steps with |jerk| <= 3 m/s³ [%]", lambda g: f"{100 * g['jerk_within_3'].mean():.1f}"),
     ("hardest braking [m/s²]: drive / after", _hardest_braking),
-    ("hard braking after hand-back: groups", lambda g: str(int((g["hard_braking_after"] > 0).sum()))),
+    ("braking >= 3 m/s² in 5 s after it", _braking_after),
 )

@@ -90,7 +90,8 @@ def _distance(
     resampled = _distances_of(_resampled(ours, rng), _resampled(theirs, rng), quantity)
     low, high = np.quantile(resampled, (0.025, 0.975), axis=1)
     floor = np.median(_distances_of(*_halves(theirs, rng), quantity), axis=1) if len(theirs) > 1 else np.full(2, np.nan)
-    estimates = [Estimate(float(point[k]), float(low[k]), float(high[k]), len(ours), len(ours)) for k in range(2)]
+    vehicles = len(ours)  # they are resampled, so each is a cluster
+    estimates = [Estimate(float(point[k]), float(low[k]), float(high[k]), vehicles, vehicles) for k in range(2)]
     return Distance(
         part,
         quantity,

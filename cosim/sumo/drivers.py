@@ -70,6 +70,29 @@ class Drivers:
             max_speed=api.getMaxSpeed(vehicle),
         )
 
+    def headway(self, vehicle: str) -> tuple[float, float]:
+        """Time headway [s] and minimum gap [m] that a vehicle's driver wants."""
+        return libsumo.vehicle.getTau(vehicle), libsumo.vehicle.getMinGap(vehicle)
+
+    def leader(self, vehicle: str) -> tuple[str, float] | None:
+        """The next vehicle ahead in the lane and the net gap [m] to it, if there is one."""
+        found = libsumo.vehicle.getLeader(vehicle, _LEADER_RANGE)
+        if not found or not found[0]:
+            return None
+        return found[0], found[1] + libsumo.vehicle.getMinGap(vehicle)
+
+    def motion(self, vehicle: str) -> tuple[float, float]:
+        """Speed [m/s] and acceleration [m/s²] of a vehicle."""
+        return libsumo.vehicle.getSpeed(vehicle), libsumo.vehicle.getAcceleration(vehicle)
+
+    def lane_offset(self, vehicle: str) -> float:
+        """Lateral position [m] of a vehicle to the left of the centre of its lane."""
+        return libsumo.vehicle.getLateralLanePosition(vehicle)
+
+    def allowed_speed(self, vehicle: str) -> float:
+        """Speed [m/s] that a vehicle's driver wants on a free road in its lane."""
+        return libsumo.vehicle.getAllowedSpeed(vehicle)
+
     def braking(self, vehicle: str) -> float:
         """Deceleration [m/s²] that a vehicle's driver is ready to use."""
         return libsumo.vehicle.getDecel(vehicle)

@@ -27,6 +27,7 @@ from cosim.world.snapshot import LANE_AHEAD, Snapshot, StepReport
 
 _NO_CHECKS = 0  # speed mode: SUMO neither bounds nor corrects the commanded speed
 _NO_CHANGES = 0  # lane-change mode: SUMO never changes the vehicle's lane
+_ACCELERATION_CHECKS = 0b110  # speed mode: SUMO bounds acceleration and braking by those of the driver
 _KEEP_ROUTE_EXACT_POSITION = 3  # moveToXY: keep the route (1) and do not snap to the lane (2)
 _GIVEN_LANE_EXACT_POSITION = 2  # moveToXY: on the edge and lane that the call names, and do not snap to it
 
@@ -50,6 +51,7 @@ class Sumo:
         self._sized: tuple[tuple[str, ...], np.ndarray, np.ndarray] = ((), np.empty(0), np.empty(0))
         self.net, self.drivers, self._positions = Net(), Drivers(self._sizes), PositionReader()
         self._modes: dict[str, tuple[int, int]] = {}  # (speed mode, lane-change mode) before take-over
+        self._returning: dict[str, tuple[float, float]] = {}  # (time headway, minimum gap) before the hand-back
         self._shadowed: set[str] = set()  # vehicles that have a shadow vehicle
         self._commanded: set[str] = set()  # vehicles with a moveToXY since the last step
         self.before_step: Callable[[], None] | None = None  # called by `step` before anything moves
@@ -103,6 +105,7 @@ class Sumo:
         """Take a vehicle from SUMO's drivers; from now on it must be commanded in every step."""
         api = libsumo.vehicle
         self._modes.setdefault(vehicle, (api.getSpeedMode(vehicle), api.getLaneChangeMode(vehicle)))
+        self._returning.pop(vehicle, None)
         api.setSpeedMode(vehicle, _NO_CHECKS)
         api.setLaneChangeMode(vehicle, _NO_CHANGES)
 
@@ -130,8 +133,8 @@ class Sumo:
         return vehicle in self._commanded
 
     def is_taken(self, vehicle: str) -> bool:
-        """Whether the vehicle was taken and has not been released since."""
-        return vehicle in self._modes
+        """Whether the vehicle was taken and has not been handed back since."""
+        return vehicle in self._modes and vehicle not in self._returning
 
     def add(self, vehicle: str, route: str, kind: str, length: float, width: float, speed: float) -> None:
         """Add a vehicle of the type `kind` [m, m/s]; it enters the net where its first command puts it."""
@@ -143,7 +146,9 @@ class Sumo:
         """Put a shadow of the vehicle on a lane, to which others react; no snapshot, report or count shows it."""
         shadow, api = SHADOW + vehicle, libsumo.vehicle
         if vehicle not in self._shadowed:
-            api.add(shadow, self._shadow_route(vehicle), api.getTypeID(vehicle))
+            # a headway of its own gives a vehicle a type of its own, which SUMO deletes with any vehicle that has it
+            kind = api.getTypeID(vehicle).removesuffix(f"@{vehicle}")
+            api.add(shadow, self._shadow_route(vehicle), kind)
             api.setSpeedMode(shadow, _NO_CHECKS)
             api.setLaneChangeMode(shadow, _NO_CHANGES)
             self._shadowed.add(vehicle)
@@ -168,11 +173,39 @@ class Sumo:
     def remove(self, vehicle: str) -> None:
         """Remove a vehicle from the simulation, at once."""
         self._modes.pop(vehicle, None)
+        self._returning.pop(vehicle, None)
         libsumo.vehicle.remove(vehicle)
 
+    def begin_release(self, vehicle: str) -> None:
+        """Let SUMO move a taken vehicle along its lane again; `guide` must follow before every step until `release`."""
+        self._returning[vehicle] = libsumo.vehicle.getTau(vehicle), libsumo.vehicle.getMinGap(vehicle)
+
+    def set_headway(self, vehicle: str, headway: float, min_gap: float) -> None:
+        """Set the time headway [s] and the minimum gap [m] that the driver of a returning vehicle wants."""
+        libsumo.vehicle.setTau(vehicle, headway)
+        libsumo.vehicle.setMinGap(vehicle, min_gap)
+
+    def guide(self, vehicle: str, speed: float, lateral: float, *, safely: bool) -> None:
+        """Set the speed [m/s] of a returning vehicle after the next step and its offset [m] to the left in its lane.
+
+        With `safely` SUMO drives slower where its own safe speed is lower.
+        """
+        mode = self._modes[vehicle][0] & ~_ACCELERATION_CHECKS if safely else _NO_CHECKS
+        libsumo.vehicle.setSpeedMode(vehicle, mode)
+        libsumo.vehicle.setLateralLanePosition(vehicle, lateral)
+        _set_speed(vehicle, speed)
+
+    def allow_lane_changes(self, vehicle: str) -> None:
+        """Let a returning vehicle change lanes as before the take-over."""
+        libsumo.vehicle.setLaneChangeMode(vehicle, self._modes[vehicle][1])
+
     def release(self, vehicle: str) -> None:
-        """Hand a vehicle back to SUMO's driver, with the speed and lane-change modes it had before the take-over."""
+        """Hand a vehicle back to SUMO's driver, with the modes and the headway that it had before the take-over."""
         speed_mode, lane_change_mode = self._modes.pop(vehicle)
+        if vehicle in self._returning:
+            headway, min_gap = self._returning.pop(vehicle)
+            libsumo.vehicle.setTau(vehicle, headway)
+            libsumo.vehicle.setMinGap(vehicle, min_gap)
         libsumo.vehicle.setSpeed(vehicle, -1)
         libsumo.vehicle.setSpeedMode(vehicle, speed_mode)
         libsumo.vehicle.setLaneChangeMode(vehicle, lane_change_mode)

@@ -13,6 +13,7 @@ from cosim.process.fork import CAN_FORK, BranchError, fork
 from cosim.runs.run_tables import events_table, groups_table, steps_table
 from cosim.world.episode import COLUMNS, Ending, EventKind
 from cosim.world.groups import expected_graph
+from cosim.world.hand_back_columns import hand_back_columns
 from gri.core.policy import ConstantVelocity, IntelligentDriver
 
 IDM = IntelligentDriver(0.2)
@@ -132,6 +133,39 @@ def test_a_contact_ends_the_group_and_both_tests_see_it(short_scenario, simulate
         assert not episode.outcome.completed
         assert not episode.order_kept
         assert not episode.driven[episode.time > episode.end].any()
+
+
+def test_after_a_contact_both_vehicles_brake_to_a_standstill(short_scenario, simulate):
+    """The faster one at 8 m/s², the slower one at 4 m/s², instead of SUMO's stop within a step."""
+    scenario = msgspec.structs.replace(short_scenario, horizon=8.0, watch=10.0, episodes=3)
+    outcome = simulate(scenario, RunsInto(0.2), "crash")
+    stopped = 0
+    for episode in outcome.episodes:
+        if episode.ending is not Ending.CONTACT:
+            continue
+        after = (episode.time > episode.end + 1e-6)[:, None] & episode.valid[:, :2]
+        assert episode.feature("a")[:, :2][after].min() >= -9.0 - 1e-6
+        hit = [contact for contact in episode.contacts if contact.time == pytest.approx(episode.end)]
+        for role, vehicle in enumerate(episode.group.ids):
+            if any(vehicle in contact.vehicles for contact in hit):
+                v = episode.feature("v")[:, role]
+                assert v[-1] == 0
+                at_the_end = np.flatnonzero(episode.during_drive)[-1]
+                assert v[at_the_end + 2] > 0  # not at once
+                stopped += 1
+    assert stopped >= 2
+
+
+def test_the_hand_back_is_gradual(short_scenario, simulate):
+    """Vehicles that were driven too close open the headway without braking hard, with little jerk."""
+    scenario = msgspec.structs.replace(short_scenario, horizon=4.0, watch=10.0, episodes=6)
+    tailgater = IntelligentDriver(0.2, time_headway=0.3, minimum_gap=1.0, acceleration=2.0)
+    outcome = simulate(scenario, tailgater, "tailgates")
+    shocks = [hand_back_columns(episode) for episode in outcome.episodes if episode.ending is Ending.HORIZON]
+    assert len(shocks) >= 4
+    assert max(shock["braking_after"] for shock in shocks) < 3.0
+    assert max(shock["jerk_after"] for shock in shocks) <= 10.0
+    assert not any(contact.after_hand_back for episode in outcome.episodes for contact in episode.contacts)
 
 
 def test_vehicles_stay_in_their_lane_while_driven(outcome):

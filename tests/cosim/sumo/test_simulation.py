@@ -151,6 +151,72 @@ def test_release_gives_no_jump_and_restores_the_modes(road):
         assert after[1] == pytest.approx(d, abs=1e-6)
 
 
+def test_a_returning_vehicle_is_guided_along_its_lane_and_gets_its_own_headway_back(road):
+    """The tailgater keeps 5 m at the leader's speed, against its own 1.2 s, and drifts to the centre of its lane."""
+    with road(vehicle("leader", 60.0), vehicle("a", 20.0)) as world:
+        libsumo.vehicle.setSpeed("leader", 15.0)
+        d = state_of(world, "a")[1]
+        world.take("a")
+        for k in range(10):
+            s = state_of(world, "leader")[0] + 3.0 - 10.0
+            world.command("a", s, d + 0.1 * k, 0.0, 15.0)
+            world.step()
+        modes = libsumo.vehicle.getSpeedMode("leader"), libsumo.vehicle.getLaneChangeMode("leader")
+        offset = world.drivers.lane_offset("a")
+        assert offset == pytest.approx(0.9, abs=1e-6)
+        world.begin_release("a")
+        assert not world.is_taken("a")
+        for k in range(20):
+            world.set_headway("a", 0.2, 0.5)
+            world.guide("a", 15.0, offset - 0.04 * k, safely=True)
+            world.step()
+            leader, gap = world.drivers.leader("a")
+            assert (leader, world.drivers.motion(leader)) == ("leader", (15.0, 0.0))
+            assert gap == pytest.approx(5.0, abs=1e-6)
+            assert state_of(world, "a")[1] == pytest.approx(d + offset - 0.04 * k, abs=1e-6)
+        world.release("a")
+        assert (libsumo.vehicle.getSpeedMode("a"), libsumo.vehicle.getLaneChangeMode("a")) == modes
+        assert world.drivers.headway("a") == (1.2, 2.0)
+        world.step()
+        assert state_of(world, "a")[3] < 14.5
+
+
+def test_a_returning_vehicle_brakes_for_what_only_sumo_sees_unless_told_not_to(road):
+    with road(vehicle("leader", 100.0, speed=5.0), vehicle("a", 30.0)) as world:
+        libsumo.vehicle.setSpeed("leader", 5.0)
+        for name in ("a", "leader"):
+            libsumo.vehicle.setLaneChangeMode(name, 0)
+        world.take("a")
+        world.begin_release("a")
+        for _ in range(50):
+            world.guide("a", 15.0, 0.0, safely=True)
+            world.step()
+        assert state_of(world, "a")[3] < 6.5
+        world.guide("a", 15.0, 0.0, safely=False)
+        world.step()
+        assert state_of(world, "a")[3] == 15.0
+
+
+def test_a_vehicle_with_a_headway_of_its_own_survives_its_shadow(road):
+    """SUMO deletes the type that such a vehicle has of its own together with any vehicle that has it."""
+    with road(vehicle("a", 60.0, lane=1)) as world:
+        s, d, *_ = state_of(world, "a")
+        world.take("a")
+        world.begin_release("a")
+        for k in range(6):
+            world.set_headway("a", 0.5 + 0.01 * k, 1.0)
+            world.guide("a", 12.0, 0.0, safely=True)
+            s += 0.2 * 12.0
+            if k % 2:
+                world.remove_shadow("a")
+            else:
+                world.place_shadow("a", s, d, 0.0, 12.0, "entry_2")
+            world.step()
+        world.release("a")
+        world.step()
+        assert world.drivers.headway("a") == (1.2, 2.0)
+
+
 def straddle(world, with_shadow: bool) -> tuple[float, list[tuple[str, str]], set[str]]:
     """A car stands across the line between lanes 1 and 2 while another one comes along in lane 2 at 15 m/s.
 

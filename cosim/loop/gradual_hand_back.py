@@ -1,0 +1,136 @@
+"""The gradual hand-back: SUMO's driver wants the headway that it gets and relaxes to its own over seconds.
+
+A driver that takes over at a shorter headway than its own would brake at once. Human drivers accept a short headway
+after a lane change and open it slowly (Laval and Leclercq 2008, "Microscopic modeling of the relaxation phenomenon").
+So each vehicle that was handed back wants, at first, the time headway and the minimum gap that it finds. Both grow to
+the driver's own values. Meanwhile the acceleration begins with the last one of the policy, its jerk is limited, and the
+vehicle drifts to the centre of its lane. The functions here plan one vehicle; `returning_vehicles` carries it out.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+DURATION = 10.0  # [s] for which the jerk is limited at least
+SHORTEST_TIME = 0.3  # [s], the shortest time headway that a driver accepts
+TIME_RATE, GAP_RATE = 0.1, 0.2  # [s/s] and [m/s], at which the wanted headway grows
+PER_GAP, PER_SPEED, PER_ACCELERATION = 0.15, 0.6, 0.3  # [1/s²], [1/s], []: how the driver follows the vehicle ahead
+COMFORTABLE_JERK, FIRM_JERK, EMERGENCY_JERK = 5.0, 9.0, 30.0  # [m/s³]
+NOTICED, FIRM, EMERGENCY = 1.0, 2.0, 5.0  # [m/s²] of required braking: from here on it counts, and the jerk is larger
+HARDEST_BRAKING = 9.0  # [m/s²], what a dry road allows
+CLEARANCE, TOUCHING = 1.0, 0.01  # [m] that a driver who must brake keeps to the vehicle ahead; nearer is a contact
+LATERAL_SPEED, SHORTEST_DRIFT = 0.4, 3.0  # [m/s] at most, and [s] at least, for the drift to the centre of the lane
+
+
+@dataclass(frozen=True)
+class Headway:
+    """What a driver wants to keep to the vehicle ahead: a time headway `time` [s] and a minimum gap `gap` [m]."""
+
+    time: float
+    gap: float
+
+
+@dataclass(frozen=True)
+class Ahead:
+    """What is ahead: the net gap [m] to it, its speed v [m/s] and its acceleration a [m/s²]."""
+
+    gap: float
+    v: float
+    a: float
+
+
+def found(own: Headway, v: float, ahead: Ahead) -> Headway:
+    """The headway of a vehicle at the speed `v` [m/s] behind another; at most the driver's own.
+
+    Where the gap closes, it is the one that is left after NOTICED braking.
+    """
+    gap = max(ahead.gap - max(v - ahead.v, 0.0) ** 2 / (2 * NOTICED), 0.0)
+    minimum = min(own.gap, 0.5 * gap)
+    return Headway(min(own.time, max((gap - minimum) / max(min(v, ahead.v), 1.0), SHORTEST_TIME)), minimum)
+
+
+def relaxed(headway: Headway, own: Headway, dt: float) -> Headway:
+    """The headway `dt` [s] later: nearer to the driver's own."""
+    return Headway(min(headway.time + TIME_RATE * dt, own.time), min(headway.gap + GAP_RATE * dt, own.gap))
+
+
+def required_braking(v: float, ahead: Ahead | None) -> float:
+    """The constant braking [m/s²] with which a vehicle at the speed `v` [m/s] stays behind the one ahead.
+
+    The vehicle ahead goes on braking as now, to a standstill. Infinite where both touch.
+    """
+    if ahead is None:
+        return 0.0
+    if ahead.gap < TOUCHING:
+        return math.inf
+    room = max(ahead.gap - CLEARANCE, 0.5 * ahead.gap)
+    closing, braking = v - ahead.v, max(-ahead.a, 0.0)
+    if closing > 0 and 2 * room * braking < closing * ahead.v:  # equally fast before the one ahead stands
+        return braking + closing**2 / (2 * room)
+    stopping_distance = 0.0 if ahead.v == 0 else ahead.v**2 / (2 * braking) if braking > 0 else math.inf
+    return v**2 / (2 * (room + stopping_distance))
+
+
+def wanted_acceleration(v: float, limit: float, acceleration: float, headway: Headway, ahead: Ahead | None) -> float:
+    """Acceleration [m/s²] of a driver at the speed `v` [m/s] who may drive `limit` [m/s]; at most `acceleration`.
+
+    On a free road, that of the intelligent driver model. Behind another vehicle, linear in the error of the gap, the
+    difference of the speeds and the acceleration ahead; the required braking, if that is harder.
+    """
+    free = max(acceleration * (1 - (v / max(limit, 0.1)) ** 4), -NOTICED)
+    if ahead is None:
+        return free
+    error = ahead.gap - headway.gap - headway.time * v
+    follow = PER_GAP * error + PER_SPEED * (ahead.v - v) + PER_ACCELERATION * ahead.a
+    required = required_braking(v, ahead)
+    return max(min(free, follow, -required if required > NOTICED else math.inf), -HARDEST_BRAKING)
+
+
+def next_acceleration(a: float, wanted: float, required: float, dt: float) -> float:
+    """The acceleration [m/s²] after `dt` [s]: from `a` towards the wanted one, with a jerk as large as is needed."""
+    jerk = COMFORTABLE_JERK if required < FIRM else FIRM_JERK if required < EMERGENCY else EMERGENCY_JERK
+    return a + min(max(wanted - a, -jerk * dt), COMFORTABLE_JERK * dt)
+
+
+@dataclass(frozen=True)
+class Drift:
+    """The way to the centre of the lane, from `offset` [m] to its left with the lateral speed `rate` [m/s].
+
+    A polynomial of fifth degree: lateral position, speed and acceleration end at 0 after `duration` [s].
+    """
+
+    offset: float
+    rate: float
+
+    @property
+    def duration(self) -> float:
+        return max(1.875 * abs(self.offset) / LATERAL_SPEED, SHORTEST_DRIFT)
+
+    def at(self, time: float) -> float:
+        """The lateral position [m] `time` [s] after the start."""
+        u = min(time / self.duration, 1.0)
+        way = 1 - 10 * u**3 + 15 * u**4 - 6 * u**5
+        return self.offset * way + self.rate * self.duration * (u - 6 * u**3 + 8 * u**4 - 3 * u**5)
+
+
+@dataclass(frozen=True)
+class Stop:
+    """A vehicle that brakes to a standstill: s, d [m], heading relative to the road [rad], v [m/s], a [m/s²].
+
+    It brakes with `braking` [m/s²] in the end, which grows by `jerk` [m/s³].
+    """
+
+    s: float
+    d: float
+    heading: float
+    v: float
+    a: float
+    braking: float
+    jerk: float
+
+    def after(self, dt: float) -> "Stop":
+        """The vehicle `dt` [s] later; it straightens out."""
+        a = self.a + min(max(-self.braking - self.a, -self.jerk * dt), self.jerk * dt)
+        v = max(self.v + a * dt, 0.0)
+        way = 0.5 * (self.v + v) * dt
+        s, d = self.s + way * math.cos(self.heading), self.d + way * math.sin(self.heading)
+        return replace(self, s=s, d=d, heading=0.8 * self.heading, v=v, a=(v - self.v) / dt)
