@@ -52,7 +52,7 @@ def groups_of(store: BatchStore) -> pd.DataFrame:
 def _ordered(table: Path, runs: list[str]) -> pd.DataFrame:
     with guarded_reading(table, "table of a batch", "run `cosim batch` again with a new --out"):
         rows = pd.read_parquet(table)
-    rows["run"] = pd.Categorical(rows["run"].astype(str), list(runs), ordered=True)
+    rows["run"] = pd.Categorical(rows["run"].astype(str), runs, ordered=True)
     return rows.sort_values(["run", "episode"], ignore_index=True).astype({"run": str})
 
 

@@ -454,6 +454,8 @@ def mutated(door: Door, seed: int) -> bytes:
             content = mutation(rng, content)
         except Exception:  # the mutation wants a whole file, and the first one broke it
             content = flip(rng, content)
+        if mutation is endless:  # other mutations would walk through all of it
+            break
     return content
 
 
