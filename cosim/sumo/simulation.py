@@ -49,7 +49,8 @@ class Sumo:
 
     def __init__(self) -> None:
         self._sizes = CachedVehicleValues(lambda v: (libsumo.vehicle.getLength(v), libsumo.vehicle.getWidth(v)))
-        self._sized: tuple[tuple[str, ...], np.ndarray, np.ndarray] = ((), np.empty(0), np.empty(0))
+        nobody = (), np.empty(0), np.empty(0)
+        self._sized: dict[bool, tuple[tuple[str, ...], np.ndarray, np.ndarray]] = {True: nobody, False: nobody}
         self.net, self.drivers, self._positions = Net(), Drivers(self._sizes), PositionReader()
         self._modes: dict[str, tuple[int, int]] = {}  # (speed mode, lane-change mode) before take-over
         self._returning: dict[str, tuple[float, float]] = {}  # (time headway, minimum gap) before the hand-back
@@ -89,9 +90,10 @@ class Sumo:
             ids, xy, s, d = self._positions.of_all(road)
         else:
             ids, xy, s, d = self._positions.of_nearby(road, tuple(around), lane_ahead)
-        if ids != self._sized[0]:
+        everybody = around is None  # the two kinds of snapshots take turns where surroundings are recorded
+        if ids != self._sized[everybody][0]:
             sizes = np.array([*chain.from_iterable(map(self._sizes.__getitem__, ids))], dtype=float).reshape(-1, 2)
-            self._sized = ids, sizes[:, 0].copy(), sizes[:, 1].copy()
+            self._sized[everybody] = ids, sizes[:, 0].copy(), sizes[:, 1].copy()
         angle, v, a = np.array([[*map(read, ids)] for read in (_angle, _speed, _acceleration)], dtype=float)
         return Snapshot(
             time=libsumo.simulation.getTime(),
@@ -102,8 +104,8 @@ class Sumo:
             a=a,
             s=s,
             d=d,
-            length=self._sized[1],
-            width=self._sized[2],
+            length=self._sized[everybody][1],
+            width=self._sized[everybody][2],
             lane=tuple(map(_lane, ids)),
         )
 
