@@ -135,7 +135,9 @@ def manifest(batch: Batch, runs: Sequence[Run], store: BatchStore, file: Path) -
         state = "done" if run.id in finished else "failed" if run.id in failures else "open"
         entry: dict[str, Any] = {"run": run.id, "key": run.key, **msgspec.to_builtins(run.cell), "state": state}
         if state == "done":
-            entry["results"] = read_json(store.run_folder(run.id) / "manifest.json", dict[str, Any]).get("results", {})
+            own = read_json(store.run_folder(run.id) / "manifest.json", dict[str, Any])
+            starts = own.get("arguments", {}).get("starts", run.scenario.episodes)
+            entry |= {"results": own.get("results", {}), "starts": starts, "asked": run.scenario.episodes}
         listed.append(entry)
     return {
         "file": str(file),

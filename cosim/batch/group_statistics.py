@@ -22,7 +22,7 @@ from cosim.measures.statistics import (
     with_correction,
 )
 from cosim.world.episode import INTERRUPTED
-from cosim.world.outcome_columns import could_have_completed
+from cosim.world.outcome_columns import broken_up, could_have_completed
 
 CELL = ("scenario", "policy", "perturbation", "intensity", "variant", "seed")
 START = ("scenario", "variant", "seed", "vehicle_0", "vehicle_1", "vehicle_2", "takeover_time")
@@ -140,7 +140,7 @@ def with_counterparts(groups: pd.DataFrame, counterparts: pd.DataFrame) -> pd.Da
 
 
 def uninterrupted(groups: pd.DataFrame) -> pd.DataFrame:
-    """The groups that other vehicles did not break up."""
+    """The groups that did not break up."""
     return groups[~groups["ending"].isin([ending.value for ending in INTERRUPTED])]
 
 
@@ -152,7 +152,7 @@ def headline(groups: pd.DataFrame, by: Sequence[str]) -> pd.DataFrame:
         rows.append(
             dict(zip(by, key if isinstance(key, tuple) else (key,), strict=True))
             | {"runs": part["run"].nunique(), "starts": count_starts(part), "groups": len(part)}
-            | {"interrupted": len(part) - len(complete)}
+            | {"broken_up": broken_up(part)}
             | {m.name: m.estimate(part if m.every_start else complete) for m in MEASURES}
         )
     return pd.DataFrame(rows)

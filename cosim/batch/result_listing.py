@@ -90,13 +90,13 @@ def overview_table(groups: pd.DataFrame, by: str) -> Table:
     lines, records = [], []
     for _, row in _in_order(group_statistics.headline(groups, shown), shown).iterrows():
         labels = ["" if pd.isna(row[name]) else f"{row[name]}" for name in shown]
-        counts = [group_statistics.starts_text(row["starts"], row["groups"]), str(row["interrupted"])]
+        counts = [group_statistics.starts_text(row["starts"], row["groups"]), row["broken_up"]]
         lines.append([*labels, *counts, *(interval(measure, row[measure.name]) for measure in MEASURES)])
         estimates = {name: value for measure in MEASURES for name, value in _record(measure, row[measure.name]).items()}
-        records.append({name: row[name] for name in (*shown, "starts", "groups", "interrupted")} | estimates)
+        records.append({name: row[name] for name in (*shown, "starts", "groups", "broken_up")} | estimates)
     return Table(
         "results",
-        [*shown, "starts", "interrupted", *map(_title, MEASURES)],
+        [*shown, "starts", "broken up by", *map(_title, MEASURES)],
         lines,
         records,
         note=f"95 % intervals. {group_statistics.cluster_note(groups)}",
@@ -127,7 +127,11 @@ def interval(measure: Measure, estimate: Estimate) -> str:
         return "-"
     factor = 100 if measure.unit == "share" else 1
     value, low, high = (factor * number for number in (estimate.value, estimate.low, estimate.high))
-    shown = f"{value:.1f}" if not estimate.most > estimate.value else f"{value:.1f} up to {factor * estimate.most:.1f}"
+    shown = (
+        f"{value:.1f}"
+        if not estimate.most > estimate.value
+        else f"{value:.1f}{NBSP}up{NBSP}to{NBSP}{factor * estimate.most:.1f}"
+    )
     return shown if np.isnan(low) else f"{shown}\n({low:.1f},{NBSP}{high:.1f})"
 
 
@@ -173,10 +177,14 @@ def correction_note(tests: Iterable[PairedTest]) -> str:
 
 
 def runs_table(store: BatchStore, where: Sequence[str]) -> Table:
-    """Every run of the batch with its labels and state."""
+    """Every run of the batch with its labels, its state, and its starts where it found fewer than asked for."""
     listed = pd.DataFrame(store.manifest()["runs"])
     for condition in where:
         listed = _filtered(listed, condition)
+    if "starts" in listed:
+        few = listed["starts"] < listed["asked"]
+        told = [f"{run.state}, {run.starts:g} of {run.asked:g} starts" for run in listed[few].itertuples()]
+        listed.loc[few, "state"] = told
     head = ["run", *CELL, "state"]
     lines = [["" if pd.isna(row[name]) else str(row[name]) for name in head] for _, row in listed.iterrows()]
     constant = [k for k, name in enumerate(head) if name in CELL and len({line[k] for line in lines}) == 1]

@@ -28,3 +28,4 @@ AllowCodeOption = Annotated[
     bool,
     typer.Option("--allow-code", help="Run policies (kind: python) whose code is outside the folder of the file."),
 ]
+FEWER_THAN_ASKED = 3  # exit code: all runs are complete, but the traffic had fewer groups than asked for

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from cosim.commands.arguments import AllowCodeOption, MaxWorkOption
+from cosim.commands.arguments import FEWER_THAN_ASKED, AllowCodeOption, MaxWorkOption
 from gri.errors import InputError
 from gri.terminal import FormatOption, ProgressDisplay, next_command, notice, say, show_tables
 
@@ -35,7 +35,8 @@ def batch(
 ) -> None:
     """Run all runs of a batch file that are not finished.
 
-    The same command continues a batch that was stopped.
+    The same command continues a batch that was stopped. The exit code is 3 if all
+    runs finished, some with fewer groups than asked for.
     """
     from cosim.batch.run_matrix import expand, load_batch, refuse_foreign_code_of
 
@@ -78,6 +79,12 @@ def batch(
     if tally.failed or tally.left:
         next_command(f"cosim results {folder} --failures")
         raise typer.Exit(1)
+    chosen = {run.id for run in runs}
+    entries = [entry for entry in BatchStore(folder).manifest()["runs"] if entry["run"] in chosen]
+    if few := sum(entry["starts"] < entry["asked"] for entry in entries):
+        notice(f"{few} runs found fewer groups than asked for, because their time limit was reached")
+        next_command(f"cosim results {folder} --runs")
+        raise typer.Exit(FEWER_THAN_ASKED)
     next_command(f"cosim results {folder}")
 
 

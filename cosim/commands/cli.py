@@ -10,7 +10,7 @@ from typing import Annotated, Literal
 import msgspec
 import typer
 
-from cosim.commands.arguments import AllowCodeOption, MaxWorkOption, ScenarioArgument, SeedOption
+from cosim.commands.arguments import FEWER_THAN_ASKED, AllowCodeOption, MaxWorkOption, ScenarioArgument, SeedOption
 from cosim.commands.batch import batch, results
 from cosim.commands.new import new
 from cosim.commands.scenes import scenes
@@ -19,7 +19,17 @@ from cosim.commands.stress import stress
 from cosim.commands.traffic import calibrate, realism, traffic
 from gri.errors import InputError
 from gri.table import Table
-from gri.terminal import FormatOption, ProgressDisplay, console, fail, next_command, say, show_tables, show_version
+from gri.terminal import (
+    FormatOption,
+    ProgressDisplay,
+    console,
+    fail,
+    next_command,
+    notice,
+    say,
+    show_tables,
+    show_version,
+)
 
 # Each command imports what it needs: torch and SUMO take seconds to import, and `--help` should not.
 # Without a markup mode the help is plain text: units in square brackets, such as [s], would vanish as Rich markup.
@@ -62,7 +72,8 @@ def run(
 
     A policy drives every group of vehicles for the horizon of the scenario. The
     table compares it with the same groups left to SUMO. Other policies than the
-    baselines are named in the scenario file, under `policy`.
+    baselines are named in the scenario file, under `policy`. The exit code is 3 if
+    the traffic had fewer groups than asked for.
     """
     from cosim.spec.input_files import find_net
     from cosim.spec.loading import load_scenario
@@ -87,14 +98,18 @@ def run(
             progress=progress,
         )
     show_tables(
-        [summary_table(done.groups, done.counterparts)],
+        [summary_table(done.groups, done.counterparts, done.manifest["arguments"]["episodes"])],
         table_format,
         f"{time.monotonic() - began:.0f} s. Tables, manifest and picture: {done.folder}",
         then=f"cosim report {done.folder}" if baseline else f"cosim run {scenario} --baseline idm",
     )
+    for warning in done.warnings():
+        notice(f"warning: {warning}")
     if failures := done.policy_failures:
         more = f" (and {len(failures) - 1} more groups)" if len(failures) > 1 else ""
         fail(f"the policy failed; its groups count as not completed. {failures[0]}{more}", 1)
+    if done.missing_episodes:
+        raise typer.Exit(FEWER_THAN_ASKED)
 
 
 for _command in (new, report, explain, render, gui, traffic, calibrate, realism, scenes, stress, batch, results):
@@ -153,7 +168,10 @@ def schema(
 
 
 def main() -> None:
-    """Entry point. Errors are one line on stderr; the exit code is 2 for bad input, 1 for failures, 130 for Ctrl-C."""
+    """Entry point. Errors are one line on stderr; the exit code is 2 for bad input, 1 for failures, 130 for Ctrl-C.
+
+    A run or batch that is complete but found fewer episodes than asked for ends with 3.
+    """
     try:
         app(standalone_mode=True)
     except InputError as error:

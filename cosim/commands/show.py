@@ -13,16 +13,24 @@ Format = Literal["html", "gif", "mp4", "png"]
 
 
 def report(
-    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="A run folder, or the folder of a batch.")],
+    folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of a run, a batch or a stress test.")],
     episode: Annotated[int | None, typer.Option(help="For a run: episode to draw; default: the most eventful.")] = None,
     out: Annotated[
         Path | None, typer.Option(help="For a batch: file to write; default: report.html in its folder.")
     ] = None,
     table_format: FormatOption = "table",
 ) -> None:
-    """Show a run as a table and picture, a batch as an HTML file."""
+    """Show a run as a table and picture, a batch as an HTML file.
+
+    Of a stress test, its tables, figures and Markdown page are written again.
+    """
     if (folder / "runs").is_dir():
         return _batch_report(folder, out or folder / "report.html")
+    if (folder / "stress.json").is_file():
+        from cosim.stress.stress_test import publish_again
+
+        publish_again(folder)
+        return say(f"Report: {folder / 'stress.md'}")
     from cosim.runs.episode_figure import picture
     from cosim.runs.run_tables import read_tables
     from cosim.runs.summary import summary_table
@@ -32,7 +40,7 @@ def report(
     if episode is not None and not 0 <= episode <= known:
         raise InputError(f"--episode: got {episode}, {folder} has the episodes 0 to {known}")
     path = folder / ("episode.png" if episode is None else f"episode-{episode}.png")
-    picture(tables, path, episode)
+    picture(tables, path, episode, folder)
     show_tables(
         [summary_table(tables["groups"], tables["counterparts"])],
         table_format,
@@ -56,32 +64,48 @@ def render(
     kind: Annotated[
         Format | None, typer.Option("--format", help="Format of the file; default: the ending of --out, else html.")
     ] = None,
+    beside: Annotated[
+        Path | None,
+        typer.Option(metavar="RUN", help="Show the same start in this other run beside it (HTML only)."),
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="File to write; default: in the run folder.")] = None,
 ) -> None:
     """Draw one episode as a picture, film or HTML page.
 
-    No display is needed.
+    The page plays it with the lanes, the vehicles around and, as outlines,
+    the same group left to SUMO. No display is needed.
     """
+    from cosim.runs.road_view import road_view
     from cosim.runs.run_tables import read_tables
-    from cosim.show.episode_view import episode_view
+    from cosim.show.episode_view import episode_view, same_start
 
     tables = read_tables(run)
     view = episode_view(tables, episode)
+    drives = [(view, road_view(tables, episode, run))]
     kind = kind or _format_of(out)
     path = out or run / f"episode-{episode}.{kind}"
+    if beside is not None:
+        if kind != "html":
+            raise InputError(f"--beside: got the format {kind}, wanted html; leave out --format and --out, or --beside")
+        others = read_tables(beside)
+        number = same_start(others, view)
+        drives.append((episode_view(others, number), road_view(others, number, beside)))
     if kind == "png":
         from cosim.runs.episode_figure import picture
 
-        picture(tables, path, episode)
+        picture(tables, path, episode, run)
     elif kind == "html":
         from cosim.batch.store import write_whole
+        from cosim.runs.summary import driver_name
         from cosim.show.animation import html
 
-        write_whole(path, html(view, f"Episode {episode}: {view.driver} drives"))
+        names = " beside ".join(driver_name(drive.driver) for drive, _ in drives)
+        title = f"Episode {episode}: {names}" + " drives" * (len(drives) == 1)
+        write_whole(path, html(drives, title))
     else:
         from cosim.show.video import write_video
 
-        write_video(view, path)
+        write_video(view, drives[0][1], path)
     say(f"{path}")
     next_command(f"cosim explain {run} --episode {episode}")
 
@@ -113,10 +137,18 @@ def explain(run: RunArgument, episode: EpisodeOption = 0) -> None:
 def gui(run: RunArgument, episode: EpisodeOption = 0) -> None:
     """Replay one episode in sumo-gui.
 
+    Grey vehicles are around the group, transparent ones are the same group
+    left to SUMO.
+
     Needs the extra `sumo` of the installation.
     """
     from cosim.runs.run_tables import read_tables
+    from cosim.runs.surroundings_table import read_surroundings
     from cosim.show.episode_view import episode_view
-    from cosim.show.sumo_gui import replay
+    from cosim.show.sumo_gui import poses_of, replay
 
-    replay(episode_view(read_tables(run), episode), run)
+    tables = read_tables(run)
+    view = episode_view(tables, episode)
+    has_ghost = bool((tables["counterparts"]["episode"] == episode).any())
+    ghost = episode_view(tables, episode, counterpart=True) if has_ghost else None
+    replay(view, poses_of(view, ghost, read_surroundings(run, episode, counterpart=False)), run)

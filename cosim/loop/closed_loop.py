@@ -1,48 +1,80 @@
-"""The main loop: traffic runs, groups are found, a branch of the simulation drives them, traffic goes on.
+"""The main loop: traffic runs, groups are found, branches of the simulation drive them, traffic goes on.
 
-Every round of groups is driven in a branch that shares its past with the trunk bit for bit, while the trunk leaves the
-same groups to SUMO. So each driven group has its own counterpart, and every policy gets the same groups.
+Every round of groups is driven in branches that share their past with the trunk bit for bit, while the trunk leaves the
+same groups to SUMO. So each driven group has its own counterpart, and every policy gets the same groups. The groups of
+one branch are isolated from each other, and the vehicles ahead of them move as in the trunk.
 """
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from multiprocessing import get_context
 
-from cosim.loop.driving import Driver, drive, start_round
+import numpy as np
+
+from cosim.loop.driving import Driver, RoundStart, drive, start_round
 from cosim.loop.intervention import Intervention, NoIntervention
 from cosim.loop.own_policy import OwnPolicy
 from cosim.loop.perturbed_round import intervention_for
 from cosim.loop.round_recorder import Round
-from cosim.loop.trunk import Progress, Trunk
+from cosim.loop.trunk import Backlog, Progress, Trunk
+from cosim.loop.vehicles_ahead import SpeedRecord
 from cosim.perturb.displaced_starts import Infeasible
-from cosim.process.fork import CAN_FORK, Branch, fork
+from cosim.process.fork import CAN_FORK, fork_and_send
 from cosim.process.guarded_calls import CallGuard, survive
 from cosim.spec.scenario import Scenario
 from cosim.traffic.running_simulation import RunningSimulation, simulation
 from cosim.traffic.simulation_input import SimulationInput, SumoFiles, prepare_simulation
 from cosim.world.break_ups import compared
-from cosim.world.episode import INTERRUPTED, Episode
-from cosim.world.groups import Group
+from cosim.world.episode import Episode
+from cosim.world.group_search import GroupSearch
+from cosim.world.groups import Group, isolated
 from cosim.world.snapshot import Snapshot
+
+
+@dataclass(frozen=True)
+class SumoCounts:
+    """What SUMO reported: teleported vehicles, and steps with a collision in its list."""
+
+    teleports: int = 0
+    collision_steps: int = 0
+
+    def __add__(self, other: "SumoCounts") -> "SumoCounts":
+        return SumoCounts(self.teleports + other.teleports, self.collision_steps + other.collision_steps)
 
 
 @dataclass(frozen=True)
 class Outcome:
     """All episodes of a run, and the same groups left to SUMO, in the same order.
 
-    `excluded` are the groups whose perturbed start is infeasible. `teleports` and `collisions` are of the trunk.
+    `excluded` are the groups whose perturbed start is infeasible. `search` says which groups were found and which rules
+    the other candidates failed.
     """
 
     episodes: tuple[Episode, ...]
     left_to_sumo: tuple[Episode, ...]
     excluded: tuple[tuple[Group, Infeasible], ...]
+    search: GroupSearch
     simulated: float
     """Simulated time [s]."""
-    teleports: int
-    """Vehicles that SUMO teleported."""
-    collisions: int
-    """Steps with a collision in SUMO's list."""
+    trunk: SumoCounts
+    """In all steps of the trunk, the rounds left to SUMO included."""
+    branches: SumoCounts
+    """In all branches, from their take-overs on."""
+    backlog: Backlog
+    """Vehicles that could not enter the net."""
+
+
+BranchResult = tuple[list[Episode], SumoCounts]
+
+
+@dataclass(frozen=True)
+class Branch:
+    """A branch at its take-over: `go_on` gives it the speeds of the vehicles ahead, `result` waits for its end."""
+
+    go_on: Callable[[SpeedRecord], None]
+    result: Callable[[], BranchResult]
 
 
 def run(
@@ -53,11 +85,11 @@ def run(
     *,
     forking: bool = CAN_FORK,
 ) -> Outcome:
-    """Run a scenario until its number of episodes is reached or its time limit is over.
+    """Run a scenario until its number of episodes has begun or its time limit is over.
 
-    Episodes that another vehicle ended (INTERRUPTED) are kept but do not count. With `driver=None` no vehicle is driven
-    (the null run). Without `forking` every branch simulates the past again, from t = 0, in a process of its own; the
-    results are the same.
+    Every feasible start counts, however its drive ends, so all policies get the same starts. With `driver=None` no
+    vehicle is driven (the null run). Without `forking` every branch simulates the past again, from t = 0, in a process
+    of its own; the results are the same.
 
     Perturbations of the traffic affect the trunk and the branches, all others the branches only. With perturbations and
     `driver=None` SUMO drives the perturbed groups in a branch.
@@ -67,38 +99,61 @@ def run(
     inputs = prepare_simulation(scenario, files, scenario.time_limit)
     inputs.write()
     scenario = inputs.scenario
-    driven: list[Episode] = []
     left: list[Episode] = []
+    driven: dict[Group, Episode] = {}
     excluded: list[tuple[Group, Infeasible]] = []
+    branches: list[Branch] = []
+    in_branches = SumoCounts()
     without_branches = driver is None and not scenario.perturbations
-    counted = left if without_branches else driven
     with simulation(inputs) as running:
         trunk = Trunk(running, scenario)
         trunk.warm_up(progress)
-        while (count := _count(counted)) < scenario.episodes and trunk.time < inputs.end:
-            progress("episodes", count, scenario.episodes)
+        while len(left) < scenario.episodes and trunk.time < inputs.end:
+            progress("episodes", len(left), scenario.episodes)
             history = trunk.observe_history()
-            found = trunk.find_groups(history, limit=scenario.episodes - count)
-            intervention = intervention_for(scenario, history[-1], found)
-            excluded += intervention.excluded
-            this_round = intervention.round
-            if not this_round.groups:
+            found = trunk.find_groups(history, limit=scenario.episodes - len(left))
+            rounds = [dataclasses.replace(found, groups=groups) for groups in isolated(found.groups, history[-1])]
+            planned = [(asked, intervention_for(scenario, history[-1], asked)) for asked in rounds]
+            excluded += [pair for _, intervention in planned for pair in intervention.excluded]
+            feasible = {group for _, intervention in planned for group in intervention.round.groups}
+            if not feasible:
                 continue
-            if without_branches:
-                left += trunk.leave_to_sumo(history, this_round)
-            elif forking:
-                branch = _forked(running, history, intervention, driver)
-                left += trunk.leave_to_sumo(history, this_round)
-                driven += branch.result()
-            else:
-                with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
-                    branch = pool.submit(_drive_from_start, inputs, trunk.steps, this_round, driver)
-                    left += trunk.leave_to_sumo(history, this_round)
-                    driven += branch.result()
-        progress("episodes", min(count, scenario.episodes), scenario.episodes)
+            in_branches += _collect(branches, driven)  # they ran while the trunk went on
+            branches = [
+                _forked(running, history, intervention, driver)
+                if forking
+                else _replayed(inputs, trunk.steps, asked, driver)
+                for asked, intervention in planned
+                if intervention.round.groups and not without_branches
+            ]
+            together = tuple(group for group in found.groups if group in feasible)
+            episodes, speeds = trunk.leave_to_sumo(history, dataclasses.replace(found, groups=together))
+            left += episodes
+            for branch in branches:
+                branch.go_on(speeds)
+        progress("episodes", len(left), scenario.episodes)
+        in_branches += _collect(branches, driven)
         left = [compared(episode, episode) for episode in left]
-        counted = [compared(*both) for both in zip(counted, left, strict=True)]
-        return Outcome(tuple(counted), tuple(left), tuple(excluded), trunk.time, trunk.teleports, trunk.collisions)
+        return Outcome(
+            episodes=tuple(left if without_branches else (compared(driven[own.group], own) for own in left)),
+            left_to_sumo=tuple(left),
+            excluded=tuple(excluded),
+            search=trunk.search,
+            simulated=trunk.time,
+            trunk=SumoCounts(running.world.teleports, running.world.collision_steps),
+            branches=in_branches,
+            backlog=trunk.backlog,
+        )
+
+
+def _collect(branches: Sequence[Branch], driven: dict[Group, Episode]) -> SumoCounts:
+    """Wait for the branches, add their episodes to those `driven`, and return what SUMO reported in them."""
+    total = SumoCounts()
+    for branch in branches:
+        episodes, counts = branch.result()
+        driven |= {episode.group: episode for episode in episodes}
+        total += counts
+    return total
 
 
 def _forked(
@@ -106,20 +161,49 @@ def _forked(
     history: Sequence[Snapshot],
     intervention: Intervention | NoIntervention,
     driver: Driver | None,
-) -> Branch[list[Episode]]:
-    """Drive a round in a copy of this process. A policy of the user is not even called in this process."""
+) -> Branch:
+    """A copy of this process in which a round is driven. A policy of the user is not even called in this process."""
     if driver is not None and isinstance(own := driver.policy, OwnPolicy):
 
-        def attempt(guard: CallGuard) -> list[Episode]:
-            guarded = replace(driver, policy=replace(own, guard=guard))
-            return drive(running.world, running.frame, start_round(running.frame, history, intervention, guarded))
+        def go(speeds: SpeedRecord) -> BranchResult:
+            def attempt(guard: CallGuard) -> BranchResult:
+                guarded = dataclasses.replace(driver, policy=dataclasses.replace(own, guard=guard))
+                return _drive(running, start_round(running.frame, history, intervention, guarded), speeds)
 
-        return fork(lambda: survive(attempt, own.limit))
-    start = start_round(running.frame, history, intervention, driver)
-    return fork(lambda: drive(running.world, running.frame, start))
+            return survive(attempt, own.limit)
+
+    else:
+        start = start_round(running.frame, history, intervention, driver)
+
+        def go(speeds: SpeedRecord) -> BranchResult:
+            return _drive(running, start, speeds)
+
+    branch, send = fork_and_send(go)
+    return Branch(send, branch.result)
 
 
-def _drive_from_start(inputs: SimulationInput, steps: int, this_round: Round, driver: Driver | None) -> list[Episode]:
+def _replayed(inputs: SimulationInput, steps: int, asked: Round, driver: Driver | None) -> Branch:
+    results: list[BranchResult] = []
+
+    def go_on(speeds: SpeedRecord) -> None:
+        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+            results.append(pool.submit(_drive_from_start, inputs, steps, asked, driver, speeds).result())
+
+    return Branch(go_on, lambda: results[0])
+
+
+def _drive(running: RunningSimulation, start: RoundStart, speeds: SpeedRecord) -> BranchResult:
+    """Drive a round whose vehicles ahead repeat the given speeds; also what SUMO reported meanwhile."""
+    intervention = start.intervention.repeating(speeds, start.now)
+    world = running.world
+    teleports, collision_steps = world.teleports, world.collision_steps
+    episodes = drive(world, running.frame, dataclasses.replace(start, intervention=intervention))
+    return episodes, SumoCounts(world.teleports - teleports, world.collision_steps - collision_steps)
+
+
+def _drive_from_start(
+    inputs: SimulationInput, steps: int, asked: Round, driver: Driver | None, speeds: SpeedRecord
+) -> BranchResult:
     """Simulate the first `steps` again, the last of which are the history, and drive the round that begins then."""
     scenario = inputs.scenario
     history_steps = scenario.steps(scenario.history)
@@ -130,10 +214,19 @@ def _drive_from_start(inputs: SimulationInput, steps: int, this_round: Round, dr
         for _ in range(history_steps):
             running.world.step()
             history.append(running.world.snapshot(running.frame))
-        intervention = intervention_for(scenario, history[-1], this_round)
-        return drive(running.world, running.frame, start_round(running.frame, history, intervention, driver))
+        intervention = intervention_for(scenario, history[-1], asked)
+        return _drive(running, start_round(running.frame, history, intervention, driver), speeds)
 
 
-def _count(episodes: Sequence[Episode]) -> int:
-    """How many episodes count."""
-    return sum(episode.ending not in INTERRUPTED for episode in episodes)
+def leader_deviation(driven: Episode, counterpart: Episode) -> float:
+    """Largest distance [m] along the road between vehicle 2 and itself in the counterpart, from the take-over on.
+
+    Until the first of both drives ends; 0 where the group is isolated and no perturbation changes vehicle 2. NaN where
+    vehicle 2 is gone from the start.
+    """
+    until = min(driven.end, counterpart.end) + 1e-6
+    n = min(len(driven.time), len(counterpart.time))
+    compared = driven.during_drive[:n] & (driven.time[:n] <= until)
+    compared &= driven.valid[:n, 2] & counterpart.valid[:n, 2]
+    apart = np.abs(driven.feature("s")[:n, 2] - counterpart.feature("s")[:n, 2])[compared]
+    return float(apart.max()) if len(apart) else np.nan

@@ -15,6 +15,7 @@ from jaxtyping import Bool
 from cosim.loop.observation import GroupObservation
 from cosim.loop.round_recorder import Round
 from cosim.loop.state_layouts import Layout
+from cosim.loop.vehicles_ahead import SpeedRecord, vehicles_ahead
 from cosim.perturb.background_vehicles import PosePlan
 from cosim.perturb.displaced_starts import Infeasible, VehicleStates
 from cosim.perturb.sensing_and_control import RoundSetting, SensingAndControl, sensing_and_control
@@ -54,7 +55,8 @@ class Intervention:
     """Everything that perturbations do to a round.
 
     `round` has the feasible groups only, `changes` are in their order, `excluded` are the other groups with reasons.
-    `snapshots` are the vehicles near the round after each driven or watched step; `observe` adds to them.
+    `snapshots` are the vehicles near the round after each driven or watched step; `observe` adds to them. The vehicles
+    of `ahead` repeat the speeds they had in the trunk.
     """
 
     round: Round
@@ -63,6 +65,7 @@ class Intervention:
     perturbations: tuple[Perturbation, ...]
     seed: int
     snapshots: list[Snapshot] = field(default_factory=list)
+    ahead: SpeedRecord | None = None
 
     @property
     def removes_third(self) -> bool:
@@ -86,6 +89,14 @@ class Intervention:
         if self.removes_third:
             return ids[:2]
         return (*ids[:2], change.successor) if change.successor and change.has_arrived(now) else ids
+
+    def repeating(self, speeds: SpeedRecord | None, now: Snapshot) -> "Intervention":
+        """The same, in which the vehicles ahead repeat their speeds, but for those that a perturbation changes."""
+        if speeds is None or not self.round.groups:
+            return self
+        changed = {self.round.groups[g].ids[2] for g, change in enumerate(self.changes) if change.moved[2]}
+        changed |= {change.plan.vehicle for change in self.changes if change.plan is not None}
+        return replace(self, ahead=speeds.of({*vehicles_ahead(self.round.groups, now)} - changed))
 
     def channels(self, layout: Layout, history: Sequence[GroupObservation]) -> SensingAndControl:
         """The perturbed sensors and actuators of this round."""
@@ -124,6 +135,8 @@ class Intervention:
 
         A displaced vehicle is handed back after one step, a planned one at the end of its plan.
         """
+        if self.ahead is not None:
+            self.ahead.repeat(world, step)
         present = set(now.ids)
         for group, change in zip(self.round.groups, self.changes, strict=True):
             for vehicle, role in self._displaced_vehicles(group, change, driven_roles).items():
@@ -188,9 +201,14 @@ class Intervention:
 
 @dataclass(frozen=True)
 class NoIntervention:
-    """An undisturbed round: nothing is changed, removed or commanded."""
+    """A round without perturbations: nothing is displaced, removed or planned.
+
+    The vehicles of `ahead` repeat the speeds they had in the trunk. In the trunk, `recorded` records them.
+    """
 
     round: Round
+    ahead: SpeedRecord | None = None
+    recorded: SpeedRecord | None = None
     excluded: ClassVar[tuple[tuple[Group, Infeasible], ...]] = ()
 
     def names(self, g: int) -> dict[str, str]:
@@ -201,6 +219,10 @@ class NoIntervention:
         """The ids of a group by role."""
         del now
         return self.round.groups[g].ids
+
+    def repeating(self, speeds: SpeedRecord | None, now: Snapshot) -> "NoIntervention":
+        """The same, in which the vehicles ahead repeat their speeds."""
+        return self if speeds is None else replace(self, ahead=speeds.of({*vehicles_ahead(self.round.groups, now)}))
 
     def channels(self, layout: Layout, history: Sequence[GroupObservation]) -> SensingAndControl:
         """Perfect sensors and actuators."""
@@ -215,11 +237,16 @@ class NoIntervention:
         """Change nothing."""
 
     def command(self, world: Sumo, road: RoadFrame, step: int, driven_roles: Sequence[int], now: Snapshot) -> None:
-        """Command nothing."""
+        """Let the vehicles ahead repeat their speeds."""
+        del road, driven_roles, now
+        if self.ahead is not None:
+            self.ahead.repeat(world, step)
 
     def observe(self, world: Sumo, road: RoadFrame, before: GroupObservation) -> tuple[Snapshot, GroupObservation]:
         """The vehicles near the round after a step, and its groups."""
         del before
+        if self.recorded is not None:
+            self.recorded.record(world)
         now = world.snapshot(road, self.round.vehicles)
         return now, GroupObservation.of(now, self.round.groups)
 

@@ -55,6 +55,7 @@ class ReturningVehicles:
         drivers = world.drivers
         own, acceleration = Headway(*drivers.headway(vehicle)), drivers.parameters(vehicle).acceleration
         drift = Drift(drivers.lane_offset(vehicle), lateral_speed)
+        a = min(max(a, -plan.HARDEST_BRAKING), plan.HARDEST_BRAKING)
         self._returns[vehicle] = Return(own, own, acceleration, drift, a, checked)
         world.begin_release(vehicle)
         if drivers.must_change_lane(vehicle):

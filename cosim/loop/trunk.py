@@ -2,40 +2,58 @@
 
 from collections import deque
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 from cosim.loop.driving import drive, start_round
 from cosim.loop.intervention import NoIntervention
 from cosim.loop.round_recorder import Round
+from cosim.loop.vehicles_ahead import SpeedRecord, vehicles_ahead
 from cosim.spec.scenario import Scenario
 from cosim.traffic.running_simulation import RunningSimulation
 from cosim.world.episode import Episode
-from cosim.world.groups import find_groups
+from cosim.world.group_search import GroupSearch, search_groups
 from cosim.world.snapshot import Snapshot
 
 Progress = Callable[[str, int, int], None]
 """Called with (what is done, how much is done, of how much)."""
 BETWEEN_ATTEMPTS = 1.0  # [s] between two attempts to find groups
 WARM_UP_CHUNKS = 50  # how often progress is reported during the warm-up
+MANY_WAITING = 20  # vehicles outside the net, from which on the road is said to be full
+
+
+@dataclass(frozen=True)
+class Backlog:
+    """Vehicles that could not enter the net at their departure time and wait outside.
+
+    `since` [s] is the time since which there have always been MANY_WAITING or more; None where there are fewer now.
+    """
+
+    waiting: int = 0
+    since: float | None = None
+
+    def updated(self, waiting: int, time: float) -> "Backlog":
+        """The backlog after it was counted again."""
+        if waiting < MANY_WAITING:
+            return Backlog(waiting)
+        return Backlog(waiting, time if self.since is None else self.since)
 
 
 class Trunk:
-    """Steps the undisturbed traffic, and remembers the vehicles it took for groups and what SUMO reported.
+    """Steps the undisturbed traffic, and remembers the vehicles it took for groups and why there were not more.
 
-    `steps` and `time` [s] count from the start of the simulation, `teleports` are vehicles, `collisions` are steps with
-    a collision in SUMO's list.
+    `steps` and `time` [s] count from the start of the simulation. `search` is the sum of all searches for groups,
+    `backlog` the vehicles outside the net when they were counted last.
     """
 
     def __init__(self, running: RunningSimulation, scenario: Scenario) -> None:
         self._running, self._scenario = running, scenario
         self._used: set[str] = set()
         self._history: deque[Snapshot] = deque(maxlen=scenario.steps(scenario.history))
-        self.steps, self.time, self.teleports, self.collisions = 0, 0.0, 0, 0
+        self.steps, self.time, self.search, self.backlog = 0, 0.0, GroupSearch(), Backlog()
 
     def _step(self) -> None:
         report = self._running.world.step()
         self.steps, self.time = self.steps + 1, report.time
-        self.teleports += len(report.teleported)
-        self.collisions += bool(report.collisions)
 
     def warm_up(self, progress: Progress) -> None:
         """Run until the end of the warm-up."""
@@ -43,8 +61,13 @@ class Trunk:
         for k in range(total):
             if k % max(total // WARM_UP_CHUNKS, 1) == 0:
                 progress("warm-up", k, total)
+                self._count_waiting()
             self._step()
+        self._count_waiting()
         progress("warm-up", total, total)
+
+    def _count_waiting(self) -> None:
+        self.backlog = self.backlog.updated(self._running.world.waiting(), self.time)
 
     def observe_history(self) -> tuple[Snapshot, ...]:
         """Run on until a history is complete, and return it.
@@ -60,27 +83,24 @@ class Trunk:
         for _ in range(max(wanted - len(self._history), steps(BETWEEN_ATTEMPTS), 1)):
             self._step()
             self._history.append(self._running.world.snapshot(self._running.frame))
+        self._count_waiting()
         return tuple(self._history)
 
     def find_groups(self, history: Sequence[Snapshot], limit: int) -> Round:
         """The next round: at most `limit` groups with enough road ahead, of vehicles that were in no group before."""
-        scenario, now = self._scenario, history[-1]
-        main_road = set(scenario.road.edges)
-        reach = now.s + now.v * scenario.horizon
-        inside = [v for v, s in zip(now.ids, reach, strict=True) if s <= scenario.road.length]
-        staying = {v for v in inside if v not in self._used and set(self._running.world.route(v)[1:]) <= main_road}
-        if self._running.recorded is not None:
-            staying &= self._running.recorded.present_for(scenario.horizon)
-        groups = find_groups(
+        scenario = self._scenario
+        found = search_groups(
             history,
             scenario.group,
             zone=(0.0, scenario.road.length),
-            eligible=frozenset(staying),
+            barred=self._barred(history[-1]),
             limit=min(limit, scenario.groups_at_once),
         )
+        groups = found.groups
+        self.search += found
         self._used |= {vehicle for group in groups for vehicle in group.ids}
         return Round(
-            groups=tuple(groups),
+            groups=groups,
             rule=scenario.group,
             driven_roles=scenario.driven,
             driven_steps=scenario.steps(scenario.horizon),
@@ -91,12 +111,38 @@ class Trunk:
             reads_all=scenario.surroundings,
         )
 
-    def leave_to_sumo(self, history: Sequence[Snapshot], this_round: Round) -> list[Episode]:
-        """Record a round that no policy drives; the next history begins after it."""
-        running = self._running
-        start = start_round(running.frame, history, NoIntervention(this_round), driver=None)
+    def _barred(self, now: Snapshot) -> dict[str, str]:
+        """The vehicles inside the study area that cannot be in a group, each with the reason."""
+        scenario, barred = self._scenario, {}
+        recorded = self._running.recorded
+        lasting = None if recorded is None else recorded.present_for(scenario.horizon)
+        reach = now.s + now.v * scenario.horizon
+        for vehicle, s, until in zip(now.ids, now.s.tolist(), reach.tolist(), strict=True):
+            if not 0 <= s <= scenario.road.length:
+                continue
+            if vehicle in self._used:
+                barred[vehicle] = "in an earlier group"
+            elif until > scenario.road.length:
+                barred[vehicle] = "too near to the end of the study area for the horizon"
+            elif not _stays_on(scenario.road.edges, self._running.world.route_ahead(vehicle)):
+                barred[vehicle] = "not on the main road, or leaving it"
+            elif lasting is not None and vehicle not in lasting:
+                barred[vehicle] = "recorded for less than the horizon"
+        return barred
+
+    def leave_to_sumo(self, history: Sequence[Snapshot], this_round: Round) -> tuple[list[Episode], SpeedRecord]:
+        """Record a round that no policy drives, and the speeds ahead of it; the next history begins after it."""
+        running, now = self._running, history[-1]
+        speeds = SpeedRecord(vehicles_ahead(this_round.groups, now) if running.recorded is None else ())
+        start = start_round(running.frame, history, NoIntervention(this_round, recorded=speeds), driver=None)
         episodes = drive(running.world, running.frame, start)
         self.steps += len(episodes[0].time) - len(history)
         self._history.clear()
         self.time = float(episodes[0].time[-1])
-        return episodes
+        return episodes, speeds
+
+
+def _stays_on(road: Sequence[str], route_ahead: Sequence[str]) -> bool:
+    """Whether a vehicle is on the main road and stays there until its end, wherever it drives after that."""
+    end = route_ahead.index(road[-1]) + 1 if road[-1] in route_ahead else len(route_ahead)
+    return bool(route_ahead) and set(route_ahead[:end]) <= set(road)

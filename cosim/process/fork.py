@@ -9,11 +9,13 @@ import pickle
 import traceback
 import warnings
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from cosim.process.failures import exit_cause
 
+M = TypeVar("M")
 T = TypeVar("T")
 
 CAN_FORK = hasattr(os, "fork")
@@ -42,6 +44,28 @@ class Branch(Generic[T]):
         if failed:
             raise BranchError(f"the branched simulation failed:\n{value}")
         return value
+
+
+def fork_and_send(function: Callable[[M], T]) -> tuple[Branch[T], Callable[[M], None]]:
+    """Fork now, and run the function in the copy once its argument is known: the second value sends it, once.
+
+    The copy ends without an answer if this process ends before.
+    """
+    read, write = os.pipe()
+
+    def wait_and_run() -> T:
+        os.close(write)  # else the copy would never notice that the original is gone
+        with os.fdopen(read, "rb") as stream:  # other copies may keep the pipe open, so its end is not waited for
+            message = pickle.load(stream)
+        return function(message)
+
+    def send(message: M) -> None:
+        with suppress(BrokenPipeError), os.fdopen(write, "wb") as stream:  # of a dead copy, `result` says why
+            stream.write(pickle.dumps(message))
+
+    branch = fork(wait_and_run)
+    os.close(read)
+    return branch, send
 
 
 def fork(function: Callable[[], T]) -> Branch[T]:

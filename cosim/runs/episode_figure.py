@@ -1,6 +1,6 @@
 """The picture of one episode: curves over time beside the same group left to SUMO, and the inferred graph."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -12,9 +12,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, FancyArrowPatch
 
-from cosim.runs.summary import driver_name
+from cosim.runs.road_picture import ROLE_COLOURS, draw_road
+from cosim.runs.road_view import RoadView, road_view
+from cosim.runs.summary import driver_name, shortest_time
 
-ROLE_COLOURS = ("#0072b2", "#d55e00", "#444444")
+ROLE_MARKERS = ("o", "s", "^")
+_MOMENTS = ("road at the take-over", "road in the middle", "road at the end")
 EDGE_COLOURS = {"follow": "#009e73", "yield": "#e69f00", "cut_in": "#cc79a7"}
 ROLES = {
     "car_following": ("0 (last)", "1 (middle)", "2 (leader)"),
@@ -44,18 +47,21 @@ def most_eventful(steps: pd.DataFrame) -> int:
     return int(str(leader.groupby("episode")["v"].agg(np.ptp).idxmax()))
 
 
-def picture(tables: Mapping[str, pd.DataFrame], path: Path, episode: int | None = None) -> None:
+def picture(
+    tables: Mapping[str, pd.DataFrame], path: Path, episode: int | None = None, folder: Path | None = None
+) -> None:
     """Write `figure` to a file; the suffix (.png, .svg, .pdf) says in which format."""
     with matplotlib.rc_context(_STYLE):
-        figure(tables, episode).savefig(path, dpi=150)
+        figure(tables, episode, folder).savefig(path, dpi=150)
 
 
-def figure(tables: Mapping[str, pd.DataFrame], episode: int | None = None) -> Figure:
-    """One episode: position, speed and gap over time, the time under the policy, and the inferred graph.
+def figure(tables: Mapping[str, pd.DataFrame], episode: int | None = None, folder: Path | None = None) -> Figure:
+    """One episode: the road from above at three instants, curves over time, and the inferred graph.
 
     Args:
         tables: `steps` and `groups` of a run.
         episode: its number; by default the driven episode whose leader changes speed most.
+        folder: the folder of the run, which has the lanes and the vehicles around; without it the road is empty.
     """
     groups, steps = tables["groups"], tables["steps"]
     episode = most_eventful(steps) if episode is None else episode
@@ -67,19 +73,24 @@ def figure(tables: Mapping[str, pd.DataFrame], episode: int | None = None) -> Fi
     counterpart = left if len(left) else None
     with matplotlib.rc_context(_STYLE):
         shown = _CURVES if group["rule"] == "merge" else {k: v for k, v in _CURVES.items() if k != "d"}
-        drawn = EpisodeFigure(figsize=(10, 1 + 2 * len(shown)), layout="constrained")
+        drawn = EpisodeFigure(figsize=(10, 4.2 + 2 * len(shown)), layout="constrained")
         right = ["graph"] * (len(shown) - 1) + ["text"]
+        mosaic: Any = [[name] * 2 for name in _MOMENTS] + [list(row) for row in zip(shown, right, strict=True)]
         layout = drawn.subplot_mosaic(
-            [list(row) for row in zip(shown, right, strict=True)],
+            mosaic,
             width_ratios=[2.6, 1],
-            height_ratios=[1.5, *[1] * (len(shown) - 1)],
+            height_ratios=[0.6] * len(_MOMENTS) + [1.5, *[1] * (len(shown) - 1)],
         )
+        _roads([layout[name] for name in _MOMENTS], road_view(tables, episode, folder), own, group)
         for name, label in shown.items():
             roles = (0, 1) if name == "gap" else (0, 1, 2)
             _curves(layout[name], own, counterpart, name, label, ROLES[group["rule"]], roles)
             _phases(layout[name], group, label=name == "s", driver=driver_name(driver))
         layout["gap"].set_xlabel("time since take-over [s]")
-        layout["s"].legend(loc="upper left", frameon=False)
+        handles, labels = layout["s"].get_legend_handles_labels()
+        own_first = sorted(range(len(labels)), key=lambda k: (not labels[k].startswith("vehicle"), labels[k]))
+        chosen = [handles[k] for k in own_first], [labels[k] for k in own_first]
+        layout["s"].legend(*chosen, loc="upper left", frameon=False, ncols=2)
         _graph(layout["graph"], group)
         _facts(layout["text"], group, counterpart is not None)
         drawn.suptitle(
@@ -91,6 +102,19 @@ def figure(tables: Mapping[str, pd.DataFrame], episode: int | None = None) -> Fi
         return drawn
 
 
+def _roads(rows: Sequence[Axes], view: RoadView, own: pd.DataFrame, group: dict[str, Any]) -> None:
+    """The road at the take-over, in the middle and at the end of the drive."""
+    begin, duration = float(group["takeover_time"]), float(group["drive_duration"])
+    for axes, share in zip(rows, (0.0, 0.5, 1.0), strict=True):
+        k = int(np.abs(view.time - (begin + share * duration)).argmin())
+        driven = {int(role) for role in own.loc[own["driven"], "role"]}
+        draw_road(axes, view, k, (0 in driven, 1 in driven, 2 in driven))
+        axes.set_title(f"{view.time[k] - begin:.1f} s", loc="left", fontsize=8, pad=2)
+        axes.set_ylabel("d [m]")
+        axes.tick_params(labelsize=7)
+    rows[-1].set_xlabel("position s [m]; grey: other vehicles; outlines: the group left to SUMO", fontsize=8)
+
+
 def _curves(
     axes: Axes,
     own: pd.DataFrame,
@@ -100,14 +124,16 @@ def _curves(
     names: tuple[str, ...],
     roles: tuple[int, ...],
 ) -> None:
-    """One line per vehicle; dashed and thin: the same vehicle left to SUMO."""
-    thin: dict[str, Any] = {"lw": 1, "ls": "--", "alpha": 0.7}
-    thick: dict[str, Any] = {"lw": 1.8}
+    """One line per vehicle, with a marker of its own; dashed and thin, with hollow markers: left to SUMO."""
+    thin: dict[str, Any] = {"lw": 1, "ls": "--", "alpha": 0.8, "mfc": "white", "ms": 4}
+    thick: dict[str, Any] = {"lw": 1.8, "ms": 5}
     for role in roles:
         for frame, style in ((counterpart, thin), (own, thick)):
             if frame is not None:
                 part = frame[(frame["role"] == role) & frame["present"]]
-                label_of = f"vehicle {names[role]}" if frame is own else None
+                every = max(len(part) // 7, 1)
+                style = {**style, "marker": ROLE_MARKERS[role], "markevery": (role * every // 3, every)}
+                label_of = f"vehicle {names[role]}" if frame is own else f"{role} left to SUMO"
                 axes.plot(_since(part, own), part[column], color=ROLE_COLOURS[role], label=label_of, **style)
     axes.set_ylabel(label)
     axes.margins(x=0)
@@ -168,7 +194,7 @@ def _facts(axes: Axes, group: dict[str, Any], has_counterpart: bool) -> None:
         f"ended by: {group['ending'].replace('_', ' ')}",
         f"driven for {group['drive_duration']:.1f} s",
         f"minimum gap {group['min_gap']:.1f} m",
-        f"minimum TTC {group['min_ttc']:.1f} s",
+        f"minimum TTC {shortest_time(group['min_ttc'])} s",
         "",
         "an arrow i → j says what j does",
         "towards i; solid: driven run,",

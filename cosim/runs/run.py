@@ -10,6 +10,7 @@ from typing import Any
 import msgspec
 import pandas as pd
 
+from cosim.loop.trunk import MANY_WAITING
 from cosim.process.worker_process import run_in_worker
 from cosim.runs.run_folder import next_folder, run_folder
 from cosim.runs.run_tables import TABLES, read_json, read_tables
@@ -19,6 +20,7 @@ from cosim.runs.user_policy import unfit
 from cosim.spec.input_files import refuse_foreign_code
 from cosim.spec.loading import find_file, load_scenario, override, with_recording
 from cosim.spec.scenario import Scenario, UserPolicy, tag_of
+from cosim.world.group_search import why_not_more
 from gri.errors import InputError
 from gri.resources import checkpoints
 
@@ -68,7 +70,29 @@ class Run:
 
     def summary(self) -> pd.DataFrame:
         """The table that `cosim run` prints: a row per figure, a column per driver, all cells as text."""
-        return summary(self.groups, self.counterparts)
+        return summary(self.groups, self.counterparts, self.manifest["arguments"]["episodes"])
+
+    @property
+    def missing_episodes(self) -> int:
+        """Number of episodes that the run was asked for and could not begin within its time limit."""
+        arguments = self.manifest["arguments"]
+        return arguments["episodes"] - arguments.get("starts", arguments["episodes"])
+
+    def warnings(self) -> list[str]:
+        """What a reader of the tables must know: too few episodes, vehicles that could not enter the road."""
+        arguments, found = self.manifest["arguments"], []
+        if self.missing_episodes:
+            rule, seen = str(self.groups["rule"].iloc[0]), arguments["candidates_seen"]
+            found.append(
+                f"{arguments['starts']} of {arguments['episodes']} episodes: the time limit was reached; raise"
+                f" time_limit or loosen the group rule ({why_not_more(rule, seen, arguments['candidates_failed'])})"
+            )
+        if arguments.get("waiting_outside_since") is not None:
+            found.append(
+                f"{arguments['waiting_outside']} vehicles wait outside the net at the end, {MANY_WAITING} or more since"
+                f" {arguments['waiting_outside_since']:g} s: the road cannot take the demand; lower traffic.flows"
+            )
+        return found
 
     def figure(self, episode: int | None = None) -> Any:
         """A matplotlib `Figure` of one episode; by default the one whose leader changes speed most.
@@ -81,7 +105,7 @@ class Run:
         if episode is not None and episode not in set(self.groups["episode"]):
             last = int(self.groups["episode"].max())
             raise InputError(f"episode: got {episode}, {self.folder} has the episodes 0 to {last}")
-        return figure(self.tables, episode)
+        return figure(self.tables, episode, self.folder)
 
     def __repr__(self) -> str:
         return f"Run({str(self.folder)!r}: {', '.join(self._facts())})"

@@ -21,6 +21,7 @@ from cosim.spec.scenario import LeftToSumo, Scenario, tag_of
 from cosim.sumo import SumoError
 from cosim.traffic.route_file import arguments
 from cosim.traffic.simulation_input import SumoFiles
+from cosim.world.group_search import why_not_more
 from cosim.world.groups import expected_graph
 from gri.core.policy import Policy
 from gri.errors import InputError
@@ -71,13 +72,18 @@ def run_job(
             raise InputError(f"SUMO refused the scenario: {error}") from error
         routes = None if scenario.traffic.has_own_files else sha256(files.routes)
     if not outcome.episodes:
+        why = why_not_more(tag_of(scenario.group), outcome.search.seen, outcome.search.failed)
         raise InputError(
-            f"group: no group fits the rule within {scenario.time_limit:g} s; loosen its gaps or raise time_limit"
+            f"group: no group fits the rule within {scenario.time_limit:g} s; loosen it or raise time_limit ({why})"
         )
     episodes, counterparts = outcome.episodes, () if driver is None else outcome.left_to_sumo
     expected = expected_graph(scenario.group)
-    groups = run_tables.groups_table(episodes, expected)
-    left = run_tables.groups_table(counterparts, expected) if counterparts else groups.iloc[:0]
+    groups = run_tables.groups_table(episodes, expected, outcome.left_to_sumo)
+    left = (
+        run_tables.groups_table(counterparts, expected)
+        if counterparts
+        else groups.iloc[:0].drop(columns="leader_deviation")
+    )
     tables = {
         "steps": run_tables.steps_table(episodes, counterparts),
         "groups": run_tables.labelled(groups, labels or {}),
@@ -96,14 +102,21 @@ def run_job(
         "sumo_arguments": _sumo_arguments(scenario, inputs),
         "simulated_seconds": outcome.simulated,
         "infeasible_starts": dict(Counter(reason.value for _, reason in outcome.excluded)),
-        "trunk_collision_steps": outcome.collisions,
-        "trunk_teleports": outcome.teleports,
+        "starts": len(outcome.episodes),
+        "candidates_seen": outcome.search.seen,
+        "candidates_failed": dict(outcome.search.failed),
+        "trunk_collision_steps": outcome.trunk.collision_steps,
+        "trunk_teleports": outcome.trunk.teleports,
+        "branch_collision_steps": outcome.branches.collision_steps,
+        "branch_teleports": outcome.branches.teleports,
+        "waiting_outside": outcome.backlog.waiting,
+        "waiting_outside_since": outcome.backlog.since,
         "routes_sha256": routes,
     }
     run_tables.write_manifest(folder, run_tables.manifest(run_facts, inputs, folder))
     if draw:
         tell("picture", 0, 1)
-        picture(tables, folder / "episode.png")
+        picture(tables, folder / "episode.png", folder=folder)
         tell("picture", 1, 1)
 
 

@@ -22,6 +22,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from jaxtyping import Bool
 
+from cosim.loop.closed_loop import leader_deviation
 from cosim.measures.surrogate_safety import BRAKING, brakings
 from cosim.spec.input_files import sha256
 from cosim.world.episode import COLUMNS, Episode
@@ -72,9 +73,17 @@ def _steps(number: np.int32, episode: Episode, counterpart: bool) -> pd.DataFram
     )
 
 
-def groups_table(episodes: Sequence[Episode], expected: Mapping[tuple[int, int], EdgeType]) -> pd.DataFrame:
-    """One row per episode: vehicles, ending, inferred graph, and the safety figures of the drive (SI units)."""
-    return pd.DataFrame([_group(number, episode, expected) for number, episode in enumerate(episodes)])
+def groups_table(
+    episodes: Sequence[Episode], expected: Mapping[tuple[int, int], EdgeType], left: Sequence[Episode] = ()
+) -> pd.DataFrame:
+    """One row per episode: vehicles, ending, inferred graph, and the safety figures of the drive (SI units).
+
+    If the counterparts of the episodes are given (`left`), there is also the deviation of vehicle 2 from them.
+    """
+    table = pd.DataFrame([_group(number, episode, expected) for number, episode in enumerate(episodes)])
+    if left:
+        table["leader_deviation"] = [leader_deviation(*pair) for pair in zip(episodes, left, strict=True)]
+    return table
 
 
 def _group(number: int, episode: Episode, expected: Mapping[tuple[int, int], EdgeType]) -> dict[str, Any]:

@@ -21,20 +21,26 @@ DRIVER_NAMES = {
     "recorded": "as recorded",
 }
 _PER_VEHICLE = ("vehicle", "length", "width")
+EXACT = 1e-9  # [m]
 Row = tuple[str, Callable[[pd.DataFrame], str]]
 
 
-def summary(groups: pd.DataFrame, counterparts: pd.DataFrame) -> pd.DataFrame:
-    """The figures of a run as text: a column for the driven groups, and one for their counterparts if there are any."""
+def summary(groups: pd.DataFrame, counterparts: pd.DataFrame, asked: int | None = None) -> pd.DataFrame:
+    """The figures of a run as text: a column for the driven groups, and one for their counterparts if there are any.
+
+    If more groups were `asked` for than there are, the number of groups says so.
+    """
     parts = [part for part in (groups, counterparts) if len(part)]
     rows = [[value(part) for part in parts] for _, value in _ROWS]
+    if asked is not None and asked > len(groups):
+        rows[0] = [f"{n} of {asked}" for n in rows[0]]
     columns = [driver_name(part["driver"].iloc[0]) for part in parts]
     return pd.DataFrame(rows, index=[label for label, _ in _ROWS], columns=columns)
 
 
-def summary_table(groups: pd.DataFrame, counterparts: pd.DataFrame) -> Table:
+def summary_table(groups: pd.DataFrame, counterparts: pd.DataFrame, asked: int | None = None) -> Table:
     """The summary as a table, with the numbers of `summary_records`."""
-    content = summary(groups, counterparts)
+    content = summary(groups, counterparts, asked)
     lines = [[label, *values] for label, values in zip(content.index, content.to_numpy(), strict=True)]
     title = "Driven groups, and the same groups without a policy"
     return Table(
@@ -66,7 +72,7 @@ def summary_records(groups: pd.DataFrame) -> list[dict[str, Any]]:
                 found = values.agg(["min", "median", "mean", "max"])
                 record |= {f"{name}_{which}": float(value) for which, value in found.items()}
             else:
-                record |= {f"{name}_{kind}": int(n) for kind, n in values.value_counts().items()}
+                record |= {f"{name}_{kind}": int(n) for kind, n in values.value_counts().items() if kind != ""}
         records.append(record)
     return records
 
@@ -112,6 +118,13 @@ def _other_endings(groups: pd.DataFrame) -> str:
     return (
         ", ".join(f"{n} {kind.replace('_', ' ')}" for kind, n in zip(map(str, kinds.index), kinds, strict=True)) or "0"
     )
+
+
+def _isolated(groups: pd.DataFrame) -> str:
+    """Groups whose vehicle 2 moved exactly as in the counterpart; only where there is a counterpart to compare."""
+    if "leader_deviation" not in groups or groups["leader_deviation"].isna().all():
+        return "-"
+    return _of(int((groups["leader_deviation"] <= EXACT).sum()), len(groups))
 
 
 def _edges(groups: pd.DataFrame) -> str:
@@ -161,6 +174,7 @@ _ROWS: tuple[Row, ...] = (
     ("  order kept", lambda g: _of(int(g["order_kept"].sum()), len(g))),
     ("broken up by policy/others/unknown", _broken_up),
     ("too late, lane end, or off the road", _other_endings),
+    ("vehicle 2 as without the policy", _isolated),
     ("inferred edges", _edges),
     ("  whole graph as expected", _as_expected),
     ("  scene known to the model", _known),

@@ -12,6 +12,7 @@ from cosim.batch.group_statistics import MEASURES
 from cosim.batch.result_listing import correction_note, groups_of, p_value
 from cosim.batch.store import BatchStore
 from cosim.measures.statistics import Estimate, PairedTest, with_correction
+from cosim.runs.road_view import road_view
 from cosim.runs.run_tables import read_tables
 from cosim.show import graph_drawing, svg_charts
 from cosim.show.animation import script_of
@@ -90,7 +91,7 @@ def _headline(groups: pd.DataFrame) -> dict[str, Any]:
         "rows": [
             {
                 "labels": _labels(row, order),
-                "counts": [group_statistics.starts_text(row["starts"], row["groups"]), row["interrupted"]],
+                "counts": [group_statistics.starts_text(row["starts"], row["groups"]), row["broken_up"]],
                 "figures": [_value_and_interval(row[measure.name], measure.unit) for measure in MEASURES],
             }
             for row in table
@@ -156,8 +157,9 @@ def _episodes(store: BatchStore, groups: pd.DataFrame) -> list[dict[str, Any]]:
     found = []
     for _, row in worst_episodes(groups, SHOWN_EPISODES).iterrows():
         folder = store.run_folder(str(row["run"]))
-        view = episode_view(read_tables(folder), int(row["episode"]))
-        found.append({"row": row, "folder": folder, "view": view, "data": script_of(view)})
+        tables, number = read_tables(folder), int(row["episode"])
+        data = script_of(episode_view(tables, number), road_view(tables, number, folder))
+        found.append({"row": row, "folder": folder, "data": data})
     return found
 
 

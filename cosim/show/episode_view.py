@@ -97,3 +97,20 @@ def _inferred_edges(graphs: pd.DataFrame, number: int) -> tuple[InferredEdge, ..
     columns = ["time", "sender", "receiver", "type", "probability"]
     rows = graphs.loc[graphs["episode"] == number, columns].to_numpy().tolist()
     return tuple(InferredEdge(float(time), int(i), int(j), str(kind), float(p)) for time, i, j, kind, p in rows)
+
+
+def same_start(tables: Mapping[str, pd.DataFrame], view: EpisodeView) -> int:
+    """The episode of another run that starts from the same vehicles at the same time.
+
+    Raises `InputError` if there is none.
+    """
+    groups = tables["groups"]
+    same = (groups["takeover_time"] - view.takeover_time).abs() < 1e-6
+    for role, vehicle in enumerate(view.ids):
+        same &= groups[f"vehicle_{role}"] == vehicle
+    if not same.any():
+        raise InputError(
+            f"--beside: got a run without the group {', '.join(view.ids)} taken over at {view.takeover_time:g} s; give"
+            " a run of the same scenario and seed by another policy"
+        )
+    return int(groups.loc[same, "episode"].iloc[0])

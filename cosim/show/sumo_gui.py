@@ -1,12 +1,20 @@
-"""Replay of an episode in sumo-gui: the three recorded vehicles on the net of the run, moved through TraCI."""
+"""Replay of an episode in sumo-gui: all recorded vehicles on the net of the run, moved through TraCI.
+
+Vehicles around the group are grey. The same group left to SUMO drives as half-transparent ghosts; SUMO does not check
+any of them for collisions.
+"""
 
 import os
 import shutil
 import sys
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
+from jaxtyping import Float
 
 from cosim.runs.run_tables import read_json
 from cosim.show.episode_view import EpisodeView
@@ -15,11 +23,50 @@ from cosim.spec.scenario import Scenario
 from cosim.world.road_frame import sumo_angle_of
 from gri.errors import InputError
 
-COLOURS = ((0, 114, 178), (213, 94, 0), (120, 120, 120))
+COLOURS = ((0, 114, 178), (213, 94, 0), (60, 60, 60))
+GREY, GHOST_ALPHA = (190, 190, 190), 90
 
 
-def replay(view: EpisodeView, run: Path) -> None:
-    """Open sumo-gui on the net and move the recorded vehicles in real time.
+@dataclass(frozen=True)
+class Pose:
+    """Vehicles of one kind of appearance at one instant: front bumpers, headings [rad], sizes [m], colours by name."""
+
+    names: tuple[str, ...]
+    xy: Float[np.ndarray, "V 2"]
+    heading: Float[np.ndarray, " V"]
+    size: Float[np.ndarray, "V 2"]
+    colour: dict[str, tuple[int, ...]]
+
+
+def poses_of(view: EpisodeView, ghost: EpisodeView | None, around: pd.DataFrame | None) -> list[Pose]:
+    """Everything that is on the road at each instant of the view.
+
+    `ghost` is the counterpart, `around` are the rows of the table of surroundings.
+    """
+    by_time = {} if around is None else {round(float(str(t)), 3): rows for t, rows in around.groupby("time")}
+    found = []
+    for instant in view.time:
+        rows: dict[str, tuple[tuple[float, ...], tuple[int, ...]]] = {}
+        now = by_time.get(round(float(instant), 3))
+        if now is not None:
+            columns = now[["x", "y", "heading", "length", "width"]].to_numpy().tolist()
+            rows |= {str(name): (tuple(values), GREY) for name, values in zip(now["vehicle"], columns, strict=True)}
+        for shown, prefix, alpha in ((view, "", 255), (ghost, "ghost of ", GHOST_ALPHA)):
+            if shown is None or not (at := np.flatnonzero(np.abs(shown.time - instant) < 1e-6)).size:
+                continue
+            k = int(at[0])
+            for role in np.flatnonzero(shown.present[k]):
+                values = [float(shown.feature(name)[k, role]) for name in ("x", "y", "heading")]
+                size = float(shown.length[role]), float(shown.width[role])
+                rows[prefix + shown.ids[role]] = ((*values, *size), (*COLOURS[role], alpha))
+        array = np.array([values for values, _ in rows.values()]).reshape(-1, 5)
+        colours = {name: colour for name, (_, colour) in rows.items()}
+        found.append(Pose(tuple(rows), array[:, :2], array[:, 2], array[:, 3:], colours))
+    return found
+
+
+def replay(view: EpisodeView, poses: Sequence[Pose], run: Path) -> None:
+    """Open sumo-gui on the net and move the recorded vehicles (`poses_of`) in real time.
 
     Raises `InputError` without sumo-gui or without a display.
     """
@@ -34,7 +81,7 @@ def replay(view: EpisodeView, run: Path) -> None:
             "no display is set, so sumo-gui cannot open a window; play the episode in a browser:"
             f" `cosim render {run} --episode {view.number}`"
         )
-    _play(view, command(view, run, program))
+    _play(view, poses, command(view, run, program))
 
 
 def command(view: EpisodeView, run: Path, program: str) -> list[str]:
@@ -49,7 +96,7 @@ def command(view: EpisodeView, run: Path, program: str) -> list[str]:
     return [program, *(part for name, value in options.items() for part in (f"--{name}", value)), *flags]
 
 
-def _play(view: EpisodeView, command: list[str]) -> None:
+def _play(view: EpisodeView, poses: Sequence[Pose], command: list[str]) -> None:
     import traci  # comes with eclipse-sumo, as sumo-gui does
 
     traci.start(command)
@@ -57,17 +104,19 @@ def _play(view: EpisodeView, command: list[str]) -> None:
         traci.simulationStep()
         edge = next(name for name in traci.edge.getIDList() if not name.startswith(":"))
         traci.route.add("replay", [edge])
-        for role, vehicle in enumerate(view.ids):
-            traci.vehicle.add(vehicle, "replay")
-            traci.vehicle.setLength(vehicle, float(view.length[role]))
-            traci.vehicle.setWidth(vehicle, float(view.width[role]))
-            traci.vehicle.setColor(vehicle, COLOURS[role])
-        x, y, heading = (view.feature(name) for name in ("x", "y", "heading"))
-        began = time.monotonic()
-        for k in range(len(view.time)):
-            for role in np.flatnonzero(view.present[k]):
-                pose = float(x[k, role]), float(y[k, role]), sumo_angle_of(float(heading[k, role]))
-                traci.vehicle.moveToXY(view.ids[role], "", -1, *pose, keepRoute=2)
+        began, there = time.monotonic(), set()
+        for k, pose in enumerate(poses):
+            for vehicle in there - set(pose.names):
+                traci.vehicle.remove(vehicle)
+            for row, vehicle in enumerate(pose.names):
+                if vehicle not in there:
+                    traci.vehicle.add(vehicle, "replay")
+                    traci.vehicle.setLength(vehicle, float(pose.size[row, 0]))
+                    traci.vehicle.setWidth(vehicle, float(pose.size[row, 1]))
+                    traci.vehicle.setColor(vehicle, pose.colour[vehicle])
+                place = *pose.xy[row].tolist(), sumo_angle_of(float(pose.heading[row]))
+                traci.vehicle.moveToXY(vehicle, "", -1, *place, keepRoute=2)
+            there = set(pose.names)
             if k == 0:
                 traci.gui.trackVehicle("View #0", view.ids[1])
                 traci.gui.setZoom("View #0", 1500)

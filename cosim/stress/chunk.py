@@ -18,6 +18,7 @@ from cosim.loop.intervention import Intervention
 from cosim.loop.perturbed_round import plan_intervention
 from cosim.loop.round_recorder import Round
 from cosim.loop.trunk import Trunk
+from cosim.loop.vehicles_ahead import SpeedRecord
 from cosim.process.fork import CAN_FORK, fork
 from cosim.runs.policy_loading import driver_of
 from cosim.spec.input_files import find_net
@@ -27,11 +28,10 @@ from cosim.stress.result_rows import result_row
 from cosim.sumo import SumoError
 from cosim.traffic.running_simulation import RunningSimulation, simulation
 from cosim.traffic.simulation_input import SumoFiles, prepare_simulation
-from cosim.world.groups import SAME_LANE, Group
+from cosim.world.groups import Group, isolated
 from cosim.world.snapshot import Snapshot
 from gri.errors import InputError
 
-MIN_GROUP_DISTANCE = 100.0  # [m] along one lane between two groups of a round, so that they do not interact
 PAUSE = 4  # times that the trunk looks for groups, once a second, and that are skipped after a round
 
 Rows = list[dict[str, Any]]
@@ -74,10 +74,12 @@ def chunk_rows(chunk: Chunk, tell: Callable[..., None]) -> Rows:
                 while starts < chunk.starts and trunk.time < inputs.end:
                     history = trunk.observe_history()
                     found = trunk.find_groups(history, limit=chunk.starts - starts)
-                    this_round = well_separated(found, history[-1])
-                    if this_round.groups:
+                    if found.groups:
+                        # The other sets would need branches of their own for every cell and policy.
+                        this_round = dataclasses.replace(found, groups=isolated(found.groups, history[-1])[0])
                         starts += len(this_round.groups)
-                        rows += round_rows(running, history, this_round, cells, drivers)
+                        speeds = fork(lambda: trunk.leave_to_sumo(history, this_round)[1]).result()  # noqa: B023
+                        rows += round_rows(running, history, this_round, speeds, cells, drivers)
                         tell("starts", starts, chunk.starts)
                         for _ in range(PAUSE):
                             trunk.observe_history()
@@ -91,32 +93,21 @@ def chunk_rows(chunk: Chunk, tell: Callable[..., None]) -> Rows:
     return rows
 
 
-def well_separated(this_round: Round, now: Snapshot) -> Round:
-    """The round without the groups that are within MIN_GROUP_DISTANCE of an earlier one in the same lane."""
-    chosen: list[Group] = []
-    place = {vehicle: (float(s), float(d)) for vehicle, s, d in zip(now.ids, now.s, now.d, strict=True)}
-
-    def near(one: Group, other: Group) -> bool:
-        pairs = [(place[a], place[b]) for a in one.ids for b in other.ids]
-        return any(abs(a[0] - b[0]) < MIN_GROUP_DISTANCE and abs(a[1] - b[1]) < SAME_LANE for a, b in pairs)
-
-    for group in this_round.groups:
-        if not any(near(group, other) for other in chosen):
-            chosen.append(group)
-    return dataclasses.replace(this_round, groups=tuple(chosen))
-
-
 def round_rows(
     running: RunningSimulation,
     history: Sequence[Snapshot],
     this_round: Round,
+    speeds: SpeedRecord,
     cells: dict[Cell, Scenario],
     drivers: dict[str, Driver | None],
 ) -> Rows:
-    """The rows of one round, each cell and policy in a branch of its own."""
+    """The rows of one round, each cell and policy in a branch of its own.
+
+    The vehicles ahead of the groups repeat the given speeds, which they have without perturbations and policies.
+    """
     rows: Rows = []
     for cell, scenario in cells.items():
-        intervention = plan_intervention(scenario, history[-1], this_round)
+        intervention = plan_intervention(scenario, history[-1], this_round).repeating(speeds, history[-1])
         for name, driver in drivers.items():
             labels = {"policy": name, "perturbation": cell.perturbation, "intensity": cell.intensity}
             found = [_labels(group) | {"infeasible": reason.value} for group, reason in intervention.excluded]

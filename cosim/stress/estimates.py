@@ -8,6 +8,7 @@ import pandas as pd
 
 from cosim.batch.group_statistics import OUTCOME, SHORT_TTC, Measure
 from cosim.measures.statistics import corrected
+from cosim.world.outcome_columns import broken_up
 
 CELL = ["perturbation", "intensity", "policy"]
 START = ["seed", "start", "takeover_time"]
@@ -48,7 +49,7 @@ COMPARED = ("completed_without_contact", "contact", "min_ttc", "max_drac", "min_
 
 
 def counted(rows: pd.DataFrame) -> pd.DataFrame:
-    """The counted rows: feasible starts whose group was not broken up by other vehicles."""
+    """The counted rows: feasible starts whose group did not break up."""
     started = rows[rows["infeasible"] == ""]
     return started[started["counted"].astype(bool)]
 
@@ -56,7 +57,8 @@ def counted(rows: pd.DataFrame) -> pd.DataFrame:
 def counts(rows: pd.DataFrame) -> pd.DataFrame:
     """One row per cell and policy with numbers of starts.
 
-    Columns: starts, infeasible (with reasons in `why`), interrupted, n (counted), and hits (contacts, e.g. "2 0→1").
+    Columns: starts, infeasible (with reasons in `why`), broken_up (by cause, e.g. "1 policy"), n (counted), and hits
+    (contacts, e.g. "2 0→1").
     """
     found = []
     for key, part in rows.groupby(CELL, dropna=False, sort=False):
@@ -67,7 +69,7 @@ def counts(rows: pd.DataFrame) -> pd.DataFrame:
                 "starts": len(part),
                 "infeasible": len(part) - len(started),
                 "why": _frequencies(part.loc[part["infeasible"] != "", "infeasible"]),
-                "interrupted": len(started) - len(complete),
+                "broken_up": broken_up(started),
                 "n": len(complete),
                 "hits": _frequencies(started.loc[started["contact_with"] != "", "contact_with"]),
             }

@@ -1,6 +1,6 @@
 """Measures over intensity, one figure per perturbation, in the style of the paper's figures 8 to 11."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +14,16 @@ from cosim.spec.perturbations import KINDS
 from cosim.stress.estimates import MEASURES
 from cosim.stress.plan import NOMINAL, TRAFFIC_KINDS
 
-PANELS = ("completed_without_contact", "contact", "min_ttc", "min_gap", "jerk_95", "follower_braking")
+PANELS = ("completed_without_contact", "contact", "order_kept", "min_gap", "jerk_95", "follower_braking")
 LATERAL = "lateral_change"  # shown instead of the jerk where vehicles change lanes
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "0.45", "#E69F00", "#56B4E9", "#882255")
-MARKERS = "osD^vXP*"
+CURVES: tuple[dict[str, Any], ...] = (
+    {"color": "#0072B2", "ls": "-", "marker": "o"},
+    {"color": "#D55E00", "ls": "--", "marker": "s"},
+    {"color": "#009E73", "ls": ":", "marker": "^"},
+    {"color": "#CC79A7", "ls": "-.", "marker": "D"},
+    {"color": "0.35", "ls": (0, (6, 1, 1, 1, 1, 1)), "marker": "X"},
+)
+"""Of the policies of a figure: markers and line styles tell them apart in grey print."""
 STYLE: dict[Any, Any] = {
     "figure.dpi": 150,
     "font.size": 9,
@@ -29,15 +35,25 @@ STYLE: dict[Any, Any] = {
 
 
 def draw(estimates: pd.DataFrame, kinds: list[str], folder: Path, *, lane_changes: bool) -> list[Path]:
-    """Draw each perturbation that has a counted start, as PNG and SVG; returns the files.
+    """Draw each perturbation that has a feasible start, as PNG and SVG; returns the files.
 
+    Of more than five policies, the first one is in every figure of a perturbation: KIND, KIND-2 and so on.
     `lane_changes`: whether the groups change lanes, so that Δy replaces the jerk.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    shown = [kind for kind in kinds if (estimates["perturbation"] == kind).any()]
-    return [
-        path for kind in shown for path in _saved(curves(estimates, kind, lane_changes=lane_changes), folder / kind)
-    ]
+    written: list[Path] = []
+    for kind in (kind for kind in kinds if (estimates["perturbation"] == kind).any()):
+        for k, policies in enumerate(_parts(list(dict.fromkeys(estimates["policy"])))):
+            part = estimates[estimates["policy"].isin(policies)]
+            name = f"{kind}-{k + 1}" if k else kind
+            written += _saved(curves(part, kind, lane_changes=lane_changes), folder / name)
+    return written
+
+
+def _parts(policies: Sequence[str]) -> list[list[str]]:
+    """The policies in parts of as many as there are styles, with the first one in each."""
+    first, others, room = policies[0], policies[1:], len(CURVES) - 1
+    return [[first, *others[k : k + room]] for k in range(0, max(len(others), 1), room)]
 
 
 def _saved(figure: Figure, stem: Path) -> Iterator[Path]:
@@ -73,8 +89,9 @@ def _panel(axis: Axes, part: pd.DataFrame, kind: str, measure: Measure) -> None:
     for k, policy in enumerate(dict.fromkeys(part["policy"])):
         mine = part[part["policy"] == policy]
         line = mine[mine["perturbation"] == kind].sort_values("intensity")
-        colour, marker = COLOURS[k % len(COLOURS)], MARKERS[k % len(MARKERS)]
-        axis.plot(line["intensity"], scale * line["value"], color=colour, marker=marker, ms=4, lw=1.4, label=policy)
+        style = CURVES[k]
+        colour, marker = style["color"], style["marker"]
+        axis.plot(line["intensity"], scale * line["value"], ms=4, lw=1.4, label=policy, **style)
         axis.fill_between(line["intensity"], scale * line["low"], scale * line["high"], color=colour, alpha=0.15, lw=0)
         nominal = mine[mine["perturbation"] == NOMINAL]
         if neutral is not None and len(nominal):

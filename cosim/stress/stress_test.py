@@ -19,13 +19,16 @@ from cosim.batch.group_statistics import cluster_note
 from cosim.process.worker_process import run_in_worker
 from cosim.runs.run_tables import read_json
 from cosim.spec.input_files import checkpoint_path, find_net, sha256
-from cosim.spec.scenario import Merge, TrainedPolicy
+from cosim.spec.scenario import Merge, Scenario, TrainedPolicy
 from cosim.stress import estimates, figures
 from cosim.stress.plan import NOMINAL, PACKAGES, Chunk
 from cosim.stress.report import stress_report
 from cosim.stress.result_rows import compared_with_sumo
+from cosim.world.outcome_columns import with_outcome_columns
+from gri.errors import InputError
 
 Tell = Callable[[str, int, int], None]
+RENAMED = {"taken_at": "takeover_time", "driven_for": "drive_duration"}  # columns of version 0.1
 
 
 @dataclass(frozen=True)
@@ -98,27 +101,56 @@ def publish(
     `facts` is written to `stress.json`, together with what is needed to compute the rows again. `decided` is the result
     of a sequential test.
     """
-    scenario = chunks[0].scenario
+    files = write_results(rows, chunks[0].scenario, folder, decided)
+    facts_file = folder / "stress.json"
+    facts_file.write_text(
+        json.dumps(facts | ({"decided": decided} if decided else {}) | provenance(chunks), indent=1) + "\n"
+    )
+    return [*files, facts_file]
+
+
+def write_results(
+    rows: pd.DataFrame, scenario: Scenario, folder: Path, decided: str = "", *, draw: bool = True
+) -> list[Path]:
+    """Write the tables of the rows (Parquet and CSV), the figures and the report to `folder`; returns the files."""
     kinds = [kind for kind in dict.fromkeys(rows["perturbation"]) if kind != NOMINAL]
     tables = {
-        "episodes": rows,
         "counts": estimates.counts(rows),
         "estimates": estimates.estimates(rows),
         "differences": estimates.differences(rows),
     }
+    rows.to_parquet(folder / "episodes.parquet", index=False)
     for name, table in tables.items():
         table.to_parquet(folder / f"{name}.parquet", index=False)
+        table.to_csv(folder / f"{name}.csv", index=False)
+    if draw:
+        figures.draw(tables["estimates"], kinds, folder / "figures", lane_changes=isinstance(scenario.group, Merge))
+    drawn = sorted((folder / "figures").glob("*.[ps][nv]g"))
     title = f"Stress test: {scenario.description or scenario.net}"
-    merges = isinstance(scenario.group, Merge)
-    drawn = figures.draw(tables["estimates"], kinds, folder / "figures", lane_changes=merges)
     shown = (tables["counts"], tables["estimates"], tables["differences"])
-    report, facts_file = folder / "stress.md", folder / "stress.json"
     text = stress_report(title, *shown, kinds, {path.stem for path in drawn}, cluster_note(rows), decided)
+    report = folder / "stress.md"
     report.write_text(text, encoding="utf-8")
-    facts_file.write_text(
-        json.dumps(facts | ({"decided": decided} if decided else {}) | provenance(chunks), indent=1) + "\n"
-    )
-    return [report, *(folder / f"{name}.parquet" for name in tables), *drawn, facts_file]
+    return [report, folder / "episodes.parquet", *(folder / f"{name}.parquet" for name in tables), *drawn]
+
+
+def publish_again(folder: Path, *, draw: bool = True) -> list[Path]:
+    """Write the tables, figures and report of a finished stress test again, from its rows; returns the files.
+
+    Rows of version 0.1 get the outcome columns from what they know.
+
+    Raises:
+        InputError: the folder is none of a stress test.
+    """
+    rows, facts = folder / "episodes.parquet", folder / "stress.json"
+    if not rows.is_file() or not facts.is_file():
+        raise InputError(
+            f"{folder}: no episodes.parquet and stress.json in it; give a folder that `cosim stress` wrote"
+        )
+    content = json.loads(facts.read_text())
+    scenario = msgspec.convert(content["scenario"], Scenario)
+    table = with_outcome_columns(pd.read_parquet(rows).rename(columns=RENAMED))
+    return write_results(table, scenario, folder, content.get("decided", ""), draw=draw)
 
 
 def provenance(chunks: Sequence[Chunk]) -> dict[str, Any]:

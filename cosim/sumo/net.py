@@ -42,6 +42,11 @@ class Net:
         """Ids of all edges and lanes of the net."""
         return frozenset(libsumo.edge.getIDList()) | frozenset(libsumo.lane.getIDList())
 
+    def leads_to(self, edge: str, other: str) -> bool:
+        """Whether a lane of the first edge leads to the other edge."""
+        lanes = (f"{edge}_{index}" for index in range(self.lane_count(edge)))
+        return any(link[0].rpartition("_")[0] == other for lane in lanes for link in libsumo.lane.getLinks(lane))
+
     def road(self, edges: Sequence[str], origin: str) -> RoadFrame:
         """The road frame of a chain of edges: along the centre of its leftmost lane, s = 0 where `origin` begins."""
         points: list[tuple[float, float]] = []

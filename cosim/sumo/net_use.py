@@ -35,7 +35,7 @@ def observe_net_use(world: Sumo, steps: int, dt: float, tell: Callable[[str, int
     for k in range(1, steps + 1):
         world.step()
         for vehicle in without_shadows(libsumo.simulation.getDepartedIDList()):
-            routes[world.route(vehicle)] += 1
+            routes[tuple(libsumo.vehicle.getRoute(vehicle))] += 1
         if k % every == 0:
             tell("traffic", k, steps)
             vehicles.append(libsumo.vehicle.getIDCount())

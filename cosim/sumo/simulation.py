@@ -9,7 +9,7 @@ if `setSpeed` is called as well and the safety checks are off.
 import math
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
@@ -26,6 +26,7 @@ from cosim.world.road_frame import RoadFrame, heading_of, sumo_angle_of
 from cosim.world.snapshot import LANE_AHEAD, Snapshot, StepReport
 
 _NO_CHECKS = 0  # speed mode: SUMO neither bounds nor corrects the commanded speed
+_OWN_SPEED = -1.0  # setSpeed: SUMO's driver decides on the speed again
 _NO_CHANGES = 0  # lane-change mode: SUMO never changes the vehicle's lane
 _ACCELERATION_CHECKS = 0b110  # speed mode: SUMO bounds acceleration and braking by those of the driver
 _KEEP_ROUTE_EXACT_POSITION = 3  # moveToXY: keep the route (1) and do not snap to the lane (2)
@@ -55,6 +56,8 @@ class Sumo:
         self._shadowed: set[str] = set()  # vehicles that have a shadow vehicle
         self._commanded: set[str] = set()  # vehicles with a moveToXY since the last step
         self.before_step: Callable[[], None] | None = None  # called by `step` before anything moves
+        self.teleports = 0  # vehicles that SUMO has teleported so far
+        self.collision_steps = 0  # steps so far with a collision in SUMO's list
 
     def step(self) -> StepReport:
         """Advance by one step."""
@@ -65,12 +68,15 @@ class Sumo:
         arrived = libsumo.simulation.getArrivedIDList()
         self._positions.update(arrived)
         pairs = [(hit.collider, hit.victim) for hit in libsumo.simulation.getCollisions()]
-        return StepReport(
+        report = StepReport(
             time=libsumo.simulation.getTime(),
             arrived=without_shadows(arrived),
             teleported=without_shadows(libsumo.simulation.getStartingTeleportIDList()),
             collisions=tuple(pair for pair in pairs if len(without_shadows(pair)) == 2),
         )
+        self.teleports += len(report.teleported)
+        self.collision_steps += bool(report.collisions)
+        return report
 
     def snapshot(
         self, road: RoadFrame, around: Sequence[str] | None = None, lane_ahead: float = LANE_AHEAD
@@ -206,13 +212,29 @@ class Sumo:
             headway, min_gap = self._returning.pop(vehicle)
             libsumo.vehicle.setTau(vehicle, headway)
             libsumo.vehicle.setMinGap(vehicle, min_gap)
-        libsumo.vehicle.setSpeed(vehicle, -1)
+        libsumo.vehicle.setSpeed(vehicle, _OWN_SPEED)
         libsumo.vehicle.setSpeedMode(vehicle, speed_mode)
         libsumo.vehicle.setLaneChangeMode(vehicle, lane_change_mode)
 
-    def route(self, vehicle: str) -> tuple[str, ...]:
-        """Edges of a vehicle's route."""
-        return tuple(libsumo.vehicle.getRoute(vehicle))
+    def speeds(self, vehicles: Iterable[str]) -> dict[str, float]:
+        """Speeds [m/s] of those of the vehicles that are in the simulation."""
+        present = {*libsumo.vehicle.getIDList()}
+        return {vehicle: _speed(vehicle) for vehicle in vehicles if vehicle in present}
+
+    def ask_for_speeds(self, vehicles: Iterable[str], speeds: Mapping[str, float]) -> None:
+        """Ask SUMO's drivers of these vehicles for the given speeds [m/s] in the next step.
+
+        A driver keeps to its limits of acceleration and braking, and never exceeds the speed that is safe behind its
+        leader. A driver without a given speed decides by itself. Absent vehicles and those taken are left alone.
+        """
+        free = {*libsumo.vehicle.getIDList()} - self._modes.keys()
+        for vehicle in vehicles:
+            if vehicle in free:
+                _set_speed(vehicle, speeds.get(vehicle, _OWN_SPEED))
+
+    def route_ahead(self, vehicle: str) -> tuple[str, ...]:
+        """Edges of a vehicle's route from the one it is on; on a junction, from the one it comes from."""
+        return tuple(libsumo.vehicle.getRoute(vehicle)[max(libsumo.vehicle.getRouteIndex(vehicle), 0) :])
 
     def waiting(self) -> int:
         """Number of vehicles that could not enter the net at their departure time and still wait."""

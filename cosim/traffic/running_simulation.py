@@ -3,14 +3,18 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
 
-from cosim.spec.scenario import Merge, Replay, Scenario
+from cosim.spec.scenario import Merge, Replay, Road, Scenario
 from cosim.sumo import Sumo, sumo
 from cosim.traffic.replay import RecordedVehicles
 from cosim.traffic.simulation_input import SimulationInput
 from cosim.world.groups import MergeLanes, target_lane
 from cosim.world.road_frame import RoadFrame
 from gri.errors import InputError
+
+ROUNDING = 1.0  # [m] that a road may be too short for its stated length; lanes of junctions are not in its line
 
 
 @dataclass(frozen=True)
@@ -27,16 +31,12 @@ class RunningSimulation:
 def simulation(inputs: SimulationInput) -> Iterator[RunningSimulation]:
     """Start SUMO on files that are written already, and check the scenario against its net.
 
-    Raises InputError where the net lacks an edge or a lane of the scenario, SumoError where SUMO refuses.
+    Raises InputError where the net lacks an edge or a lane of the scenario, or where the edges of the road do not join
+    or are too short; SumoError where SUMO refuses.
     """
     scenario = inputs.scenario
     with sumo(inputs.arguments, inputs.files.log) as world:
-        known = world.net.edges()
-        if missing := [edge for edge in scenario.road.edges if edge not in known]:
-            raise InputError(
-                f"road.edges: the net {inputs.files.net} has no edge {missing[0]!r}; name edges of this net"
-            )
-        frame = world.net.road(scenario.road.edges, scenario.road.origin)
+        frame = _road(world, scenario.road, inputs.files.net)
         recorded = None
         if isinstance(scenario.background, Replay):
             recorded = RecordedVehicles(
@@ -44,6 +44,26 @@ def simulation(inputs: SimulationInput) -> Iterator[RunningSimulation]:
             )
             world.before_step = recorded.move
         yield RunningSimulation(world, frame, _merge_lanes(world, frame, scenario), recorded)
+
+
+def _road(world: Sumo, road: Road, net: Path) -> RoadFrame:
+    """The frame of the main road, once it is checked."""
+    known = world.net.edges()
+    if missing := [edge for edge in road.edges if edge not in known]:
+        raise InputError(f"road.edges: the net {net} has no edge {missing[0]!r}; name edges of this net")
+    for edge, following in pairwise(road.edges):
+        if not world.net.leads_to(edge, following):
+            raise InputError(
+                f"road.edges: in the net {net} edge {edge!r} does not lead to edge {following!r};"
+                " name the edges in the direction of driving, without a gap"
+            )
+    frame = world.net.road(road.edges, road.origin)
+    if road.length > frame.end + ROUNDING:
+        raise InputError(
+            f"road.length: got {road.length:g} m, but from the beginning of edge {road.origin!r} to the end of edge"
+            f" {road.edges[-1]!r} there are {frame.end:.1f} m; give at most that, or more edges"
+        )
+    return frame
 
 
 def _merge_lanes(world: Sumo, road: RoadFrame, scenario: Scenario) -> MergeLanes | None:

@@ -70,6 +70,13 @@ def headline(table: pd.DataFrame) -> Headline:
     return Headline(int(completed.sum()), int((completed | could_have_completed(table)).sum()), len(table))
 
 
+def broken_up(table: pd.DataFrame) -> str:
+    """The number of groups that broke up, by cause, such as "1 policy, 2 unknown"; "0" if none did."""
+    counts = table["broken_up_by"].value_counts()
+    found = [f"{counts[cause]} {cause.value}" for cause in BrokenUpBy if cause.value and cause.value in counts]
+    return ", ".join(found) or "0"
+
+
 def could_have_completed(table: pd.DataFrame) -> pd.Series:
     """Whether a group had no contact and broke up, but not by its policy as far as is known."""
     not_by_policy = table["broken_up_by"].isin([BrokenUpBy.OTHERS.value, BrokenUpBy.UNKNOWN.value])

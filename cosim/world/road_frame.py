@@ -54,6 +54,11 @@ class RoadFrame:
         forward = self._segments[1]
         return np.stack([-forward[:, 1], forward[:, 0]], axis=1), np.arctan2(forward[:, 1], forward[:, 0])
 
+    @property
+    def end(self) -> float:
+        """Coordinate s [m] of the end of the reference line."""
+        return float(self._segments[2][-1]) - self.origin
+
     def to_road(self, xy: Float[np.ndarray, "V 2"]) -> tuple[Float[np.ndarray, " V"], Float[np.ndarray, " V"]]:
         """Coordinates (s, d) of world points."""
         start, direction, arc = self._segments

@@ -19,7 +19,8 @@ HEAD = """\
 The project has two commands. `cosim` runs SUMO; `gri` makes scenes, trains and evaluates models. Both print the same as
 this page with `--help`. The page is written by `python docs/tools/commands.py`; do not edit it by hand.
 
-Exit codes: 0 success, 1 failure, 2 wrong input, 130 stopped by Ctrl-C.
+Exit codes: 0 success, 1 failure, 2 wrong input, 3 complete but with fewer episodes than asked for (`cosim run` and
+`cosim batch`), 130 stopped by Ctrl-C.
 """
 KINDS = {str: "text", int: "integer", float: "number", Path: "path"}
 

@@ -22,7 +22,7 @@ from gri.evaluation.metrics import edge_frequency
 from gri.evaluation.out_of_distribution import Front
 from gri.evaluation.recorded_scores import pooled_rate
 from gri.paper.job_cache import Job, scenarios_of
-from gri.paper.plots import COLOURS, STYLE, curve, density, frequency_matrices, legend_below, save
+from gri.paper.plots import STYLE, curve, density, frequency_matrices, legend_below, line, panels, save, styles
 from gri.paper.rows import Scenario
 from gri.paper.score_frames import STAGES, rates
 from gri.paper.synthetic_measurements import oracle_drive, starts
@@ -53,9 +53,11 @@ def _synthetic_figures(
     if scenario.name.endswith("_mixed"):
         return
     name = "f9_out_of_distribution" if "y" in scenario.features else "f8_success"
-    yield f"{name}_{scenario.name}", success_curves(scenario, curves[curves["scenario"] == scenario.name])
+    yield from success_figures(f"{name}_{scenario.name}", scenario, curves[curves["scenario"] == scenario.name])
     yield f"f12_example_{scenario.name}", example(scenario, jobs, cache)
-    yield f"f13_std_along_horizon_{scenario.name}", std_along_horizon(scenario, jobs, cache)
+    rows = dict.fromkeys(job.row.name for job in jobs)
+    for k, shown in enumerate(panels(list(rows), ["GRI"])):
+        yield f"f13_std_along_horizon_{scenario.name}{_part(k)}", std_along_horizon(scenario, jobs, cache, shown)
     if gri := _first(jobs, "GRI"):
         yield f"f14_density_{scenario.name}", densities(gri, cache, scenes_folder)
     if ablation := _first(jobs, "GRI-VAIRL"):
@@ -70,7 +72,19 @@ def _recorded_figures(
         yield f"f6_edge_frequencies_{SHORT[scenario.name]}", edge_frequencies(scenario, inferring, cache)
     lanes = scenario.cross_validation is not None
     points = curves[curves["stage"] == STAGES[0]] if lanes else curves[curves["trained_on"] == "both"]
-    yield f"{'f11' if lanes else 'f10'}_success_{SHORT[scenario.name]}", success_curves(scenario, rates(points))
+    yield from success_figures(f"{'f11' if lanes else 'f10'}_success_{SHORT[scenario.name]}", scenario, rates(points))
+
+
+def success_figures(name: str, scenario: Scenario, curves: pd.DataFrame) -> Iterator[tuple[str, Figure]]:
+    """F8 to F11: the success curves of all rows with points, a few rows per figure; GRI and the oracle are in each."""
+    rows = [row for row in ("oracle", *(row.name for row in scenario.rows)) if (curves["row"] == row).any()]
+    for k, shown in enumerate(panels(rows, ["oracle", "GRI"])):
+        yield f"{name}{_part(k)}", success_curves(scenario, curves, shown)
+
+
+def _part(k: int) -> str:
+    """Suffix of the k-th of several figures that show the same for different rows."""
+    return f"_{k + 1}" if k else ""
 
 
 def _first(jobs: Sequence[Job], row: str) -> Job | None:
@@ -113,8 +127,8 @@ def _true_frequency(job: Job) -> np.ndarray:
     return torch.einsum("g,gkij->kij", weights / weights.sum(), torch.stack(parts)).numpy()
 
 
-def success_curves(scenario: Scenario, curves: pd.DataFrame) -> Figure:
-    """F8 to F11: rates against the starting headway or its ratio δ, mean over seeds, with 95 % bands.
+def success_curves(scenario: Scenario, curves: pd.DataFrame, rows: Sequence[str]) -> Figure:
+    """Rates of some rows against the starting headway or its ratio δ, mean over seeds, with 95 % bands.
 
     Bands of synthetic scenes are over all seeds together, those of recorded scenes over the scenes of one seed.
     """
@@ -123,10 +137,10 @@ def success_curves(scenario: Scenario, curves: pd.DataFrame) -> Figure:
     fronts = list(Front) if synthetic else [None]
     size = (4.5 * len(fronts), 2.6 * len(shown) + 0.9)
     figure, axes = plt.subplots(len(shown), len(fronts), figsize=size, sharex=True, sharey="row", squeeze=False)
-    for line, rate in zip(axes, shown, strict=True):
-        for axis, front in zip(line, fronts, strict=True):
+    for panels_of_rate, rate in zip(axes, shown, strict=True):
+        for axis, front in zip(panels_of_rate, fronts, strict=True):
             points = curves if front is None else curves[curves["front"] == front]
-            for name in ["oracle", *[row.name for row in scenario.rows]]:
+            for name, style in styles(rows).items():
                 grouped = points[points["row"] == name].groupby("headway" if synthetic else "ratio")
                 mean, scenes = grouped[rate].mean(), None if synthetic else grouped["scenes"].first()
                 if scenes is not None:
@@ -134,7 +148,7 @@ def success_curves(scenario: Scenario, curves: pd.DataFrame) -> Figure:
                 else:
                     half_width = grouped[f"{rate}_half_width"].mean() / np.sqrt(grouped.size())
                 if len(mean):
-                    curve(axis, name, mean.index, mean, half_width)
+                    curve(axis, name, style, mean.index, mean, half_width)
             if rate != "lateral":
                 axis.set_ylim(-0.03, 1.03)
             axis.set_ylabel(RATES[rate])
@@ -147,16 +161,16 @@ def success_curves(scenario: Scenario, curves: pd.DataFrame) -> Figure:
     return figure
 
 
-def std_along_horizon(scenario: Scenario, jobs: Sequence[Job], cache: Path) -> Figure:
-    """F13: how far sampled actions spread the states."""
+def std_along_horizon(scenario: Scenario, jobs: Sequence[Job], cache: Path, rows: Sequence[str]) -> Figure:
+    """F13: how far sampled actions of some rows spread the states."""
     figure, axes = plt.subplots(1, len(scenario.features), figsize=(3.3 * len(scenario.features) + 0.4, 3.4))
-    for name in dict.fromkeys(job.row.name for job in jobs):
+    for name, style in styles(rows).items():
         results = [job.result(cache)["std"]["along"] for job in jobs if job.row.name == name]
         for axis, feature in zip(axes, scenario.features, strict=True):
             std = np.mean([result[feature] for result in results], 0)
             time = np.arange(len(std)) * jobs[0].training.data.scene_range.dt
             positive = std > 0  # all roll-outs have the same first states
-            axis.plot(time[positive], std[positive], label=name, color=COLOURS.get(name, "black"))
+            axis.plot(time[positive], std[positive], label=name, **line(style, int(positive.sum())))
     for axis, feature in zip(axes, scenario.features, strict=True):
         axis.set_xlabel("time [s]")
         axis.set_ylabel(f"standard deviation of {AXES[feature]}")

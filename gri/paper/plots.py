@@ -21,20 +21,47 @@ STYLE: dict[Any, Any] = {
     "svg.hashsalt": "gri",
     "savefig.bbox": "tight",
 }
-COLOURS = {
-    "oracle": "0.45",
-    "GRI": "#0072B2",
-    "Supervised": "#D55E00",
-    "NRI": "#009E73",
-    "NRI, type 0 speaks": "#66C2A5",
-    "GRI (paper, contrast)": "#CC79A7",
-    "GRI (paper, literal)": "#882255",
-    "GRI, tested range held out": "#56B4E9",
-    "GRI-VAIRL": "#E69F00",
-    "GRI-AIRL": "#999933",
-    "GRI (paper)": "#CC79A7",
-    "IDM, calibrated": "0.45",
+CURVES: dict[str, dict[str, Any]] = {
+    "oracle": {"color": "0.45", "ls": "--", "marker": ""},
+    "GRI": {"color": "#0072B2", "ls": "-", "marker": "o"},
+    "Supervised": {"color": "#D55E00", "ls": "-.", "marker": "s"},
+    "NRI": {"color": "#009E73", "ls": ":", "marker": "^"},
+    "IDM, calibrated": {"color": "0.45", "ls": (0, (6, 2, 1, 2)), "marker": "P"},
+    "GRI (paper)": {"color": "#CC79A7", "ls": (0, (5, 1, 1, 1, 1, 1)), "marker": "D"},
+    "GRI (paper, contrast)": {"color": "#CC79A7", "ls": (0, (5, 1, 1, 1, 1, 1)), "marker": "D"},
+    "GRI (paper, literal)": {"color": "#882255", "ls": (0, (1, 1)), "marker": "X"},
+    "NRI, type 0 speaks": {"color": "#44AA99", "ls": (0, (3, 3)), "marker": "v"},
+    "GRI, tested range held out": {"color": "#56B4E9", "ls": (0, (7, 2)), "marker": "*"},
+    "GRI-VAIRL": {"color": "#E69F00", "ls": (0, (4, 1, 1, 1)), "marker": "P"},
+    "GRI-AIRL": {"color": "#999933", "ls": (0, (2, 2)), "marker": "<"},
+    "GRI, recurrent decoder": {"color": "#332288", "ls": (0, (9, 1)), "marker": ">"},
+    "GRI, flat prior": {"color": "#56B4E9", "ls": (0, (7, 2)), "marker": "*"},
+    "NRI + prior": {"color": "#44AA99", "ls": (0, (3, 3)), "marker": "v"},
 }
+"""Colour, line style and marker of each row of the tables. The last two tell curves apart in grey print."""
+MOST_CURVES = 5  # in a panel
+
+
+def panels(rows: Sequence[str], everywhere: Sequence[str]) -> list[list[str]]:
+    """The rows in parts of at most MOST_CURVES in the order of CURVES, with the rows of `everywhere` in each."""
+    order = {name: k for k, name in enumerate(CURVES)}
+    rows = sorted(rows, key=lambda row: order.get(row, len(order)))
+    fixed, others = [row for row in rows if row in everywhere], [row for row in rows if row not in everywhere]
+    room = MOST_CURVES - len(fixed)
+    return [[*fixed, *others[k : k + room]] for k in range(0, max(len(others), 1), room)]
+
+
+def styles(rows: Sequence[str]) -> dict[str, dict[str, Any]]:
+    """How the curves of one panel are drawn; a row without a style of its own gets one that no other row has."""
+    free = [style for name, style in CURVES.items() if name not in rows and style["marker"]]
+    taken = {CURVES[row]["marker"] for row in rows if row in CURVES}
+    free = [style for style in free if style["marker"] not in taken]
+    return {row: CURVES[row] if row in CURVES else free.pop() for row in rows}
+
+
+def line(style: Mapping[str, Any], points: int) -> dict[str, Any]:
+    """A style for `Axes.plot`; about eight of the points have a marker."""
+    return {**style, "ms": 4, "lw": 1.4, "markevery": max(1, points // 8)}
 
 
 def save(figure: Figure, out: Path, name: str) -> list[Path]:
@@ -74,12 +101,14 @@ def _frequency_matrix(axis: Axes, matrix: np.ndarray) -> None:
     axis.spines[:].set_visible(False)
 
 
-def curve(axis: Axes, name: str, x: ArrayLike, mean: ArrayLike, half_width: ArrayLike) -> None:
+def curve(
+    axis: Axes, name: str, style: Mapping[str, Any], x: ArrayLike, mean: ArrayLike, half_width: ArrayLike
+) -> None:
     """Draw the mean of a row with its 95 % band."""
     mean, half_width = np.asarray(mean), np.asarray(half_width)
-    colour, above = COLOURS.get(name, "black"), {"oracle": 4, "GRI": 3}.get(name, 2)
-    axis.plot(x, mean, label=name, color=colour, lw=1.4, ls="--" if name == "oracle" else "-", zorder=above)
-    axis.fill_between(x, mean - half_width, mean + half_width, color=colour, alpha=0.15, lw=0)  # type: ignore[arg-type]
+    axis.plot(x, mean, label=name, zorder={"oracle": 4, "GRI": 3}.get(name, 2), **line(style, len(mean)))
+    low, high = mean - half_width, mean + half_width
+    axis.fill_between(x, low, high, color=style["color"], alpha=0.15, lw=0)  # type: ignore[arg-type]
 
 
 def legend_below(figure: Figure, axis: Axes, columns: int, height: float) -> None:

@@ -56,7 +56,7 @@ def run(tmp_path_factory) -> dict[str, pd.DataFrame]:
         events=(),
         surroundings=Surroundings(("a",), np.zeros(1, int), np.ones(1), np.zeros((1, 7)), np.ones(1), np.ones(1)),
     )
-    tables = {"steps": steps_table([episode]), "groups": groups_table([episode], CHAIN)}
+    tables = {"steps": steps_table([episode]), "groups": groups_table([episode], CHAIN, [episode])}
     write_surroundings(folder := tmp_path_factory.mktemp("run"), [episode], [])
     tables["surroundings"] = read_surroundings(folder)
     return tables | {"events": events_table([episode]), "graphs": graphs_table([episode])}

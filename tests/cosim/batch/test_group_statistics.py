@@ -47,7 +47,7 @@ def test_counterparts_stand_beside_the_policies_once_per_start(groups, counterpa
 def test_interrupted_groups_count_in_the_outcome_and_in_nothing_else(groups, counterparts):
     table = group_statistics.headline(group_statistics.with_counterparts(groups, counterparts), ["policy"])
     table = table.set_index("policy")
-    assert (table.loc["x", "groups"], table.loc["x", "interrupted"]) == (3, 1)
+    assert (table.loc["x", "groups"], table.loc["x", "broken_up"]) == (3, "1 unknown")
     completed = table.loc["x", "completed_without_contact"]
     assert (completed.n, completed.value) == (3, pytest.approx(1 / 3))
     assert table.loc["x", "min_gap"].n == 2

@@ -88,6 +88,17 @@ def test_a_baseline_drives_the_same_groups(short):
     pd.testing.assert_frame_equal(groups[ids].head(4), reference[ids].head(4))
 
 
+def test_fewer_groups_than_asked_for_are_told_in_the_table_and_by_the_exit_code(short):
+    done = cosim("run", variant(short, "few.yaml", time_limit=20), "--episodes", "40", "--out", "few", cwd=short)
+    assert done.returncode == 3, done.stderr
+    found = int((pd.read_parquet(short / "few/groups.parquet")["driver"] == "gri").sum())
+    assert 0 < found < 40
+    assert f"{found} of 40" in done.stdout
+    assert f"warning: {found} of 40 episodes: the time limit was reached" in done.stderr
+    assert "chains of three vehicles in the study area seen, once a second: " in done.stderr
+    assert "Next: " in done.stdout
+
+
 def test_unknown_scenario(tmp_path):
     assert "did you mean 'us101_car_following'" in refused(tmp_path, "run", "us101_car_folowing")
 

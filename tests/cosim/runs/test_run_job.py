@@ -83,7 +83,7 @@ def test_a_policy_that_does_not_fit_is_refused(scenario, changes, message):
         ),
         (
             {"group": {"rule": "car_following", "min_gap": 40, "max_gap": 40.1, "max_time_gap": 0.1}},
-            "no group fits the rule within 20 s",
+            r"no group fits the rule within 20 s; .* \(\d+ chains of three vehicles .*: \d+ gap > 40.1 m; \d+ gap",
         ),
     ],
 )

@@ -1,16 +1,21 @@
 """One hand-made episode: 0 follows 1 follows 2, and all brake slightly."""
 
+from pathlib import Path
+
+import msgspec
 import numpy as np
 import pandas as pd
 import pytest
 
+from cosim.runs.road_view import RoadView, road_view
 from cosim.show.episode_view import EpisodeView, episode_view
+from cosim.spec.loading import load_scenario
 from cosim.world.episode import COLUMNS
 
 
 @pytest.fixture
 def tables() -> dict[str, pd.DataFrame]:
-    """The tables of a run with this one episode, taken over after 1 s and driven for 3 s."""
+    """The tables of a run with one episode, taken over after 1 s, driven for 3 s; the counterpart is 2 m behind."""
     time = np.round(np.arange(0, 5.01, 0.2), 10)
     a = np.stack([-0.5 - 0.2 * np.sin(time), -0.4 + 0 * time, -0.3 + 0 * time], 1)
     v = 10.0 + np.cumsum(a, axis=0) * 0.2
@@ -35,9 +40,32 @@ def tables() -> dict[str, pd.DataFrame]:
         + [(0, "gri", 2.0, 1, 0, "none", 0.6)],
         columns=["episode", "driver", "time", "sender", "receiver", "type", "probability"],
     )
-    return {"steps": steps, "groups": pd.DataFrame([group]), "graphs": graphs, "events": pd.DataFrame()}
+    left = steps.assign(driver="sumo", counterpart=True, driven=False, s=steps["s"] - 2.0, x=steps["x"] - 2.0)
+    return {
+        "steps": pd.concat([steps, left], ignore_index=True), "groups": pd.DataFrame([group]), "graphs": graphs,
+        "counterparts": pd.DataFrame([group | {"driver": "sumo"}]), "events": pd.DataFrame(),
+    }  # fmt: skip
 
 
 @pytest.fixture
 def episode(tables) -> EpisodeView:
     return episode_view(tables, 0)
+
+
+@pytest.fixture
+def road(tables) -> RoadView:
+    return road_view(tables, 0)
+
+
+@pytest.fixture
+def run_folder(tables, tmp_path) -> Path:
+    """A run folder with the lanes of US-101 and one vehicle beside the group, 1 m ahead of the leader."""
+    (tmp_path / "scenario.json").write_bytes(msgspec.json.encode(load_scenario("us101_car_following")))
+    steps = tables["steps"]
+    own = steps[~steps["counterpart"] & (steps["time"] >= 1.0)]
+    beside = own[own["role"] == 2].assign(vehicle="<b>beside</b>", length=7.0, width=2.0)
+    beside = beside.assign(s=beside["s"] + 1.0, x=beside["x"] + 1.0, d=-3.5, y=-3.5)
+    around = pd.concat([own.assign(vehicle="member", length=5.0, width=1.8), beside])
+    columns = ["episode", "driver", "counterpart", "time", "vehicle", *COLUMNS, "length", "width"]
+    around[columns].to_parquet(tmp_path / "surroundings.parquet", index=False)
+    return tmp_path

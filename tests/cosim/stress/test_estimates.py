@@ -45,7 +45,7 @@ def test_counts_list_everything_that_is_left_out(rows):
     found = counts(rows).set_index(["perturbation", "policy"]).loc[("headway_ratio", "b")]
     assert found["starts"] == 10
     assert (found["infeasible"], found["why"]) == (2, "2 overlap")
-    assert (found["interrupted"], found["n"]) == (1, 7)
+    assert (found["broken_up"], found["n"]) == ("1 policy", 7)
     assert found["hits"] == "4 0→1"
 
 
@@ -78,7 +78,7 @@ def test_starts_of_one_round_are_one_cluster(rows):
     assert (found["difference"], found["n"], found["clusters"], found["p"]) == (pytest.approx(-5 / 8), 8, 1, 1.0)
     assert np.isnan(found["low"])
     text = stress_report("Title", counts(same), estimates(same), differences(same), ["headway_ratio"])
-    assert "| 0.5 | b | 7 | 2 (2 overlap) | 1 | 38 | 50 |" in text, "values without intervals"
+    assert "| 0.5 | b | 8 | 38 | 50 | 38 | 1 policy | 4 0→1 |" in text, "values without intervals"
 
 
 def test_groups_that_others_broke_up_give_an_upper_bound(rows):
@@ -112,10 +112,11 @@ def test_stars_are_given_after_the_correction_over_the_whole_table(rows):
 
 def test_the_report_shows_every_cell(rows):
     text = stress_report("Title", counts(rows), estimates(rows), differences(rows), ["headway_ratio"])
-    assert "| 0.5 | b | 7 | 2 (2 overlap) | 1 | 38 [4, 85] | 50 [9, 91]" in text
+    assert "| 0.5 | b | 8 | 38 [4, 85] | 50 [9, 91] | 38 [4, 85] | 1 policy | 4 0→1 |" in text
+    assert "Infeasible starts: 2 overlap at 0.5." in text
     assert "4 0→1 |" in text
     assert "p = 0.062" in text
-    assert text.count("| nominal |") == 3  # two policies, one difference
+    assert text.count("| nominal |") == 5  # two policies in two tables, one difference
     assert "figures/" not in text
 
 
@@ -124,8 +125,8 @@ def test_the_tables_of_the_report_render(rows):
     shown = counts(rows), estimates(rows), differences(rows)
     text = stress_report("Title", *shown, ["headway_ratio"], figures=["headway_ratio"])
     cells = [line.replace("\\|", "").count("|") for line in text.splitlines() if line.startswith("|")]
-    assert cells == [24] * 6 + [11] * 4
-    assert "\\|jerk\\|, median [m/s³]" in text
+    assert cells == [9] * 16, "eight columns in each of three tables"
+    assert "\\|jerk\\|, 95th percentile [m/s³]" in text
     assert "![Measures over the intensity of headway_ratio](figures/headway_ratio.png)" in text
 
 

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from cosim.world.episode import BrokenUpBy, Contact, Ending
-from cosim.world.outcome_columns import Headline, headline, outcome_columns, with_outcome_columns
+from cosim.world.outcome_columns import Headline, broken_up, headline, outcome_columns, with_outcome_columns
 from tests.cosim.world.traffic import episode
 
 AFTER = Contact(4.0, ("a", "b"), "0→1", 3.0, after_hand_back=True)
@@ -64,3 +64,9 @@ def test_tables_of_version_0_1_get_the_columns():
     assert new["broken_up_by"].tolist()[:5] == ["", "", "", "unknown", ""]
     assert headline(new[:5]) == Headline(count=2, most=3, groups=5)
     assert with_outcome_columns(new) is new
+
+
+def test_broken_up_groups_are_counted_by_cause():
+    causes = ["unknown", "", "policy", "unknown", ""]
+    assert broken_up(pd.DataFrame({"broken_up_by": causes})) == "1 policy, 2 unknown"
+    assert broken_up(pd.DataFrame({"broken_up_by": ["", ""]})) == "0"

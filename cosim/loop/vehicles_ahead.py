@@ -1,0 +1,43 @@
+"""Vehicles ahead of the driven groups move in a branch as they do in the trunk.
+
+Nothing that a policy does reaches a vehicle ahead of it, except through SUMO's random numbers: SUMO draws the
+imperfection of its drivers from one stream per lane, so a vehicle that enters a lane one step earlier changes what all
+other vehicles of that lane draw. The trunk therefore records the speeds of the vehicles ahead, and a branch asks their
+drivers for these speeds. SUMO's safe speed still bounds them, so they brake for a vehicle that comes between them.
+
+docs/decisions/048-isolated-groups.md has the measurements.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass, field
+
+from cosim.sumo import Sumo
+from cosim.world.groups import Group
+from cosim.world.snapshot import Snapshot
+
+
+def vehicles_ahead(groups: Sequence[Group], now: Snapshot) -> tuple[str, ...]:
+    """The vehicle 2 of the groups that is farthest back, and all vehicles beside it or ahead of it."""
+    leaders = [now.row_of[group.ids[2]] for group in groups]
+    return tuple(vehicle for vehicle, s in zip(now.ids, now.s, strict=True) if s >= now.s[leaders].min())
+
+
+@dataclass(frozen=True)
+class SpeedRecord:
+    """Speeds [m/s] of `vehicles` after each step from the take-over on; `record` adds a step."""
+
+    vehicles: tuple[str, ...]
+    steps: list[Mapping[str, float]] = field(default_factory=list)
+
+    def record(self, world: Sumo) -> None:
+        """Add the speeds after the step that was just made."""
+        self.steps.append(world.speeds(self.vehicles))
+
+    def of(self, vehicles: Collection[str]) -> "SpeedRecord":
+        """The same record for some of its vehicles."""
+        return SpeedRecord(tuple(vehicle for vehicle in self.vehicles if vehicle in vehicles), self.steps)
+
+    def repeat(self, world: Sumo, step: int) -> None:
+        """Ask the drivers, before the step of this number, for the recorded speeds; after the last one for none."""
+        if step <= len(self.steps):
+            world.ask_for_speeds(self.vehicles, self.steps[step] if step < len(self.steps) else {})
