@@ -7,6 +7,7 @@ Functions that read take the path of a file or the name of a released checkpoint
 
 import os
 import tempfile
+import warnings
 import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -170,7 +171,8 @@ def _read(path: Path | str) -> dict[str, Any]:
 
 def _check_shapes(make: Callable[[], torch.nn.Module], tensors: Mapping[str, Tensor], path: Path | str) -> None:
     """Compare the tensors with what the configuration wants, before anything of that size is made."""
-    with torch.device("meta"):
+    with torch.device("meta"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of layers of size 0, which do not fit either
         wanted = {name: tuple(tensor.shape) for name, tensor in make().state_dict().items()}
     got = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
     if got != wanted:

@@ -1,3 +1,4 @@
+import zipfile
 from pathlib import Path
 
 import pytest
@@ -135,3 +136,37 @@ def test_the_objective_is_what_the_model_was_trained_for(tmp_path: Path, config:
     made = {"config": {"objective": config}} if config else {}
     checkpoint.save(tmp_path / "model.pt", RelationalModel(ModelConfig(history_steps=8)), provenance=made)
     assert checkpoint.objective(tmp_path / "model.pt") == wanted
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        (
+            lambda content: content["tensors"].update({next(iter(content["tensors"])): torch.tensor(float("nan"))}),
+            "finite",
+        ),
+        (lambda content: content["tensors"].update(more=torch.zeros(1).expand(10**9)), "finite numbers"),
+        (lambda content: content["tensors"].update(more=torch.zeros(2)), "more has the shape"),
+        (lambda content: content.pop("tensors"), "field tensors is missing"),
+        (lambda content: content.update(config=7), "field config is missing or no str"),
+        (lambda content: content.update(config=content["config"].replace('"dt":0.2', '"dt":-1')), "got dt"),
+    ],
+)
+def test_a_checkpoint_that_was_tampered_with_is_refused_in_one_line(tmp_path, spoil, message):
+    content = torch.load(resources.find_checkpoint("us101_car_following"), weights_only=True)
+    spoil(content)
+    torch.save(content, tmp_path / "bad.pt")
+    with pytest.raises(InputError, match=message) as error:
+        checkpoint.load(str(tmp_path / "bad.pt"))
+    assert "\n" not in str(error.value)
+
+
+def test_a_flipped_bit_and_a_compressed_archive_are_refused(tmp_path):
+    whole = bytearray(resources.find_checkpoint("us101_car_following").read_bytes())
+    whole[len(whole) // 2] ^= 1
+    (tmp_path / "flipped.pt").write_bytes(whole)
+    with zipfile.ZipFile(tmp_path / "bomb.pt", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("archive/data.pkl", bytes(10**7))
+    for name, message in (("flipped", "damaged"), ("bomb", "compressed, which a checkpoint never is")):
+        with pytest.raises(InputError, match=message):
+            checkpoint.load(str(tmp_path / f"{name}.pt"))

@@ -81,7 +81,9 @@ def read(path: Path, kind: str, dynamics: Dynamics, vocabulary: Vocabulary, spli
             raise InputError(
                 f"{path}: got steps that do not count from 0, or valid that is no truth value; make it again"
             )
-        if not np.isfinite(state.astype(float)[valid]).all():
+        with np.errstate(invalid="ignore"):
+            finite = np.isfinite(state.astype(float)[valid]).all()
+        if not finite:
             raise InputError(f"{path}: has states that are not finite for kind {kind}; make the file again")
         first = {name: table[name].to_numpy(zero_copy_only=False).reshape(shape)[:, :, 0] for name in names[3:7]}
 

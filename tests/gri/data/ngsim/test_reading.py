@@ -103,3 +103,17 @@ def test_clock_that_does_not_fit_the_frames_is_an_error(tmp_path: Path):
 def test_missing_file_is_an_error(tmp_path: Path):
     with pytest.raises(InputError, match="no such file"):
         read(tmp_path / "nothing.txt")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"1 " * 10**6, "a line of more than 100000 bytes"),
+        (b"1 " * 17 + b"1\n" * 4 * 10**7, "unpacks to more than 200 times its size"),
+    ],
+    ids=["line", "bomb"],
+)
+def test_a_recording_that_would_fill_the_memory_is_refused(tmp_path, content, message):
+    (tmp_path / "bad.txt.gz").write_bytes(gzip.compress(content, 1))
+    with pytest.raises(InputError, match=message):
+        list(read_chunks(tmp_path / "bad.txt.gz"))
