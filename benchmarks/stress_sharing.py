@@ -18,7 +18,7 @@ from cosim.spec.loading import load_scenario
 from cosim.stress.chunk import chunk_rows
 from cosim.stress.plan import Chunk, chunks, policies_of, sweeps_of
 
-KINDS = ("headway_ratio", "leader_braking", "observation_noise", "latency", "action_delay")
+KINDS = ("headway_ratio", "leader_braking", "observation_noise", "perception_latency", "action_delay")
 
 
 def cpu() -> float:
@@ -29,7 +29,7 @@ def cpu() -> float:
 def cost(chunk: Chunk) -> tuple[float, int]:
     """CPU seconds and rows."""
     began = cpu()
-    rows = chunk_rows(chunk, lambda *_: None)
+    rows, _ = chunk_rows(chunk, lambda *_: None)
     return cpu() - began, len(rows)
 
 

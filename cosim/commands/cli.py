@@ -81,6 +81,7 @@ def run(
     find_net(
         load_scenario(scenario, max_work=max_work).net
     )  # a mistake need not wait for torch, which the next imports bring
+    from cosim.perturb.effects import shown_effects
     from cosim.runs.run import run as run_scenario
     from cosim.runs.summary import summary_table
 
@@ -98,7 +99,10 @@ def run(
             progress=progress,
         )
     show_tables(
-        [summary_table(done.groups, done.counterparts, done.manifest["arguments"]["episodes"])],
+        [
+            summary_table(done.groups, done.counterparts, done.manifest["arguments"]["episodes"]),
+            *([shown_effects(done.effects)] if len(done.effects) else []),
+        ],
         table_format,
         f"{time.monotonic() - began:.0f} s. Tables, manifest and picture: {done.folder}",
         then=f"cosim report {done.folder}" if baseline else f"cosim run {scenario} --baseline idm",

@@ -22,15 +22,30 @@ def stress(
         ),
     ] = "gri,idm,sumo",
     perturbation: Annotated[
-        str, typer.Option(help="Kinds of perturbation, separated by commas; docs/stress.md lists them.")
-    ] = "headway_ratio",
+        str,
+        typer.Option(
+            help="Kinds of perturbation, separated by commas; docs/stress.md lists them. all: every kind that makes"
+            " sense for the scenario."
+        ),
+    ] = "all",
     intensity: Annotated[
         str,
         typer.Option(
             help="Intensities of a single kind, separated by commas, in its unit (m/s² for leader_braking);"
-            " default: five for each kind."
+            " default: those of each kind."
         ),
     ] = "",
+    levels: Annotated[
+        int | None,
+        typer.Option(min=1, max=5, help="Default intensities of each kind to use; default: 5, or 2 for all kinds."),
+    ] = None,
+    reinfer_s: Annotated[
+        float | None,
+        typer.Option(
+            min=0,
+            help="Time between two inferences of the graph [s], 0: only the first; default: the scenario's, or 1.",
+        ),
+    ] = None,
     starts: Annotated[
         int, typer.Option(min=1, max=100_000, help="Groups that every policy drives at every intensity.")
     ] = 100,
@@ -59,15 +74,19 @@ def stress(
     from cosim.spec.loading import load_scenario
 
     chosen, grades = load_scenario(scenario, max_work=max_work), _numbers(intensity)  # mistakes need not wait for torch
-    from cosim.stress.plan import chunks, policies_of, sweeps_of
+    from cosim.stress.plan import chunks, policies_of, senseless, sweeps_of
 
-    sweeps = sweeps_of(_words(perturbation), grades, chosen)
+    sweeps = sweeps_of(_words(perturbation), grades, chosen, levels)
+    if "all" in _words(perturbation):
+        for kind, reason in senseless(chosen).items():
+            notice(f"left out: {kind}, because {reason}")
     policies = policies_of(_words(policy), chosen)
     from cosim.stress.stress_test import publish, run_stress
     from cosim.stress.until_decided import STARTS_PER_SEED, contest_of, run_until_decided, sentence
 
     contest = contest_of(until_decided, list(policies), sweeps, error) if until_decided else None
-    parts = chunks(chosen, policies, sweeps, starts, *([STARTS_PER_SEED] if contest else []))
+    per_seed = {"starts_per_seed": STARTS_PER_SEED} if contest else {}
+    parts = chunks(chosen, policies, sweeps, starts, reinfer_s=reinfer_s, **per_seed)
     decided = ""
     folder = out or Path("runs", "stress", Path(scenario).stem)
     began = time.monotonic()
@@ -85,7 +104,7 @@ def stress(
                 "commits": computation.commits,
             }
             facts |= {"starts": starts, "workers": workers}
-            written = publish(parts, rows, folder, facts, decided)
+            written = publish(parts, rows, computation.effects, folder, facts, decided)
     except KeyboardInterrupt:
         notice(f"stopped; finished parts are kept in {folder}, the same command continues")
         raise typer.Exit(130) from None

@@ -13,7 +13,8 @@ from multiprocessing import get_context
 
 import numpy as np
 
-from cosim.loop.driving import Driver, RoundStart, drive, start_round
+from cosim.loop.drive_effects import drive_and_measure
+from cosim.loop.driving import Driver, RoundStart, start_round
 from cosim.loop.intervention import Intervention, NoIntervention
 from cosim.loop.own_policy import OwnPolicy
 from cosim.loop.perturbed_round import intervention_for
@@ -21,6 +22,7 @@ from cosim.loop.round_recorder import Round
 from cosim.loop.trunk import Backlog, Progress, Trunk
 from cosim.loop.vehicles_ahead import SpeedRecord
 from cosim.perturb.displaced_starts import Infeasible
+from cosim.perturb.effects import Effect
 from cosim.process.fork import CAN_FORK, fork_and_send
 from cosim.process.guarded_calls import CallGuard, survive
 from cosim.spec.scenario import Scenario
@@ -64,9 +66,12 @@ class Outcome:
     """In all branches, from their take-overs on."""
     backlog: Backlog
     """Vehicles that could not enter the net."""
+    effects: tuple[Effect, ...] = ()
+    """What the perturbations reached in each driven group; those of the traffic are measured elsewhere."""
 
 
-BranchResult = tuple[list[Episode], SumoCounts]
+BranchResult = tuple[list[Episode], SumoCounts, list[Effect]]
+"""The episodes of a round, what SUMO reported, and what the perturbations reached."""
 
 
 @dataclass(frozen=True)
@@ -104,6 +109,7 @@ def run(
     excluded: list[tuple[Group, Infeasible]] = []
     branches: list[Branch] = []
     in_branches = SumoCounts()
+    effects: list[Effect] = []
     without_branches = driver is None and not scenario.perturbations
     with simulation(inputs) as running:
         trunk = Trunk(running, scenario)
@@ -118,7 +124,7 @@ def run(
             feasible = {group for _, intervention in planned for group in intervention.round.groups}
             if not feasible:
                 continue
-            in_branches += _collect(branches, driven)  # they ran while the trunk went on
+            in_branches += _collect(branches, driven, effects)  # they ran while the trunk went on
             branches = [
                 _forked(running, history, intervention, driver)
                 if forking
@@ -132,7 +138,7 @@ def run(
             for branch in branches:
                 branch.go_on(speeds)
         progress("episodes", len(left), scenario.episodes)
-        in_branches += _collect(branches, driven)
+        in_branches += _collect(branches, driven, effects)
         left = [compared(episode, episode) for episode in left]
         return Outcome(
             episodes=tuple(left if without_branches else (compared(driven[own.group], own) for own in left)),
@@ -143,14 +149,16 @@ def run(
             trunk=SumoCounts(running.world.teleports, running.world.collision_steps),
             branches=in_branches,
             backlog=trunk.backlog,
+            effects=tuple(effects),
         )
 
 
-def _collect(branches: Sequence[Branch], driven: dict[Group, Episode]) -> SumoCounts:
-    """Wait for the branches, add their episodes to those `driven`, and return what SUMO reported in them."""
+def _collect(branches: Sequence[Branch], driven: dict[Group, Episode], effects: list[Effect]) -> SumoCounts:
+    """Wait for the branches, add to the episodes `driven` and the `effects`, and return what SUMO reported in them."""
     total = SumoCounts()
     for branch in branches:
-        episodes, counts = branch.result()
+        episodes, counts, reached = branch.result()
+        effects += reached
         driven |= {episode.group: episode for episode in episodes}
         total += counts
     return total
@@ -197,8 +205,8 @@ def _drive(running: RunningSimulation, start: RoundStart, speeds: SpeedRecord) -
     intervention = start.intervention.repeating(speeds, start.now)
     world = running.world
     teleports, collision_steps = world.teleports, world.collision_steps
-    episodes = drive(world, running.frame, dataclasses.replace(start, intervention=intervention))
-    return episodes, SumoCounts(world.teleports - teleports, world.collision_steps - collision_steps)
+    episodes, reached = drive_and_measure(world, running.frame, dataclasses.replace(start, intervention=intervention))
+    return episodes, SumoCounts(world.teleports - teleports, world.collision_steps - collision_steps), reached
 
 
 def _drive_from_start(

@@ -90,7 +90,7 @@ def start_round(
         dt=this_round.dt,
         override_graph=partial(_graph_to_use, source=driver.graph, this_round=this_round),
         reinfer_steps=driver.reinfer,
-        channels=intervention.channels(layout, observations),
+        channels=intervention.channels(layout, road, len(observations)),
     )
     runner.decide(now.time)
     returning = ReturningVehicles(this_round.dt, this_round.lanes)

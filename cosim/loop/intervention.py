@@ -11,6 +11,7 @@ from typing import ClassVar
 import numpy as np
 import torch
 from jaxtyping import Bool
+from torch import Tensor
 
 from cosim.loop.observation import GroupObservation
 from cosim.loop.round_recorder import Round
@@ -98,18 +99,22 @@ class Intervention:
         changed |= {change.plan.vehicle for change in self.changes if change.plan is not None}
         return replace(self, ahead=speeds.of({*vehicles_ahead(self.round.groups, now)} - changed))
 
-    def channels(self, layout: Layout, history: Sequence[GroupObservation]) -> SensingAndControl:
-        """The perturbed sensors and actuators of this round."""
+    def channels(self, layout: Layout, road: RoadFrame, history_steps: int) -> SensingAndControl:
+        """The perturbed sensors and actuators of this round, history included."""
         names = tuple(" ".join(group.ids) for group in self.round.groups)
-        past = tuple(torch.from_numpy(layout.states(observation.state)) for observation in history[:-1])
+
+        def curvature(state: Tensor) -> Tensor:
+            pose = layout.pose(state.numpy())
+            return torch.from_numpy(road.curvature_at(pose.s.ravel(), pose.d.ravel()).reshape(pose.s.shape))
+
         setting = RoundSetting(
             dynamics=layout.dynamics,
             dt=self.round.dt,
-            steps=self.round.driven_steps,
+            steps=history_steps + self.round.driven_steps,
             seed=self.seed,
             names=names,
             driven_roles=self.round.driven_roles,
-            past=past,
+            curvature=curvature,
         )
         return sensing_and_control(self.perturbations, setting)
 
@@ -224,9 +229,9 @@ class NoIntervention:
         """The same, in which the vehicles ahead repeat their speeds."""
         return self if speeds is None else replace(self, ahead=speeds.of({*vehicles_ahead(self.round.groups, now)}))
 
-    def channels(self, layout: Layout, history: Sequence[GroupObservation]) -> SensingAndControl:
+    def channels(self, layout: Layout, road: RoadFrame, history_steps: int) -> SensingAndControl:
         """Perfect sensors and actuators."""
-        del history
+        del road, history_steps
         return SensingAndControl(layout.dynamics)
 
     def displaced_start(self, observation: GroupObservation) -> GroupObservation:

@@ -12,9 +12,10 @@ from torch import Tensor
 from cosim.loop.observation import GroupObservation
 from cosim.loop.own_policy import PolicyFailure
 from cosim.loop.state_layouts import Layout
+from cosim.perturb.effects import Effect
 from cosim.perturb.sensing_and_control import SensingAndControl
 from cosim.world.episode import COLUMNS
-from gri.core.graph import InteractionGraph
+from gri.core.graph import InteractionGraph, pairs
 from gri.core.policy import Policy, PolicyState
 from gri.core.trajectory import Trajectory
 
@@ -26,11 +27,13 @@ GraphOverride = Callable[[InteractionGraph, InteractionGraph | None], Interactio
 class PolicyRunner:
     """The model states of all groups of a round and the policy's memory of them; to be used in inference mode.
 
-    The graph is inferred from `history`; the vehicles are driven from `start` on, which may differ from the end of the
-    history. `driven_roles` are the roles that the policy drives, `override_graph` turns the inferred graph and the last
-    one (None at first) into the one that the policy uses, `reinfer_steps` says how often the graph is inferred again
-    (0: never), `channels` are the perturbed sensors and actuators. `graphs` are the graphs used so far, each with its
-    time [s].
+    The graph is inferred from `history` as the channels show it; the vehicles are driven from `start` on, which may
+    differ from the end of the history. `driven_roles` are the roles that the policy drives. `override_graph` turns the
+    inferred graph and the last one (None at first) into the one that the policy uses. `reinfer_steps` says how often
+    the graph is inferred again (0: never). `channels` are the perturbed sensors and actuators. Where the driven
+    vehicles have a view each, the policy gets the groups once per view, and each role is driven by its own view.
+    `graphs` are the graphs used so far, each with its time [s]; an effect on a vehicle is the one in the view that
+    drives it.
     """
 
     def __init__(
@@ -52,14 +55,16 @@ class PolicyRunner:
         self._driven_roles, self._override_graph = list(driven_roles), override_graph
         self._reinfer_steps, self._channels = reinfer_steps, channels
         self._mask: tuple[list[int], np.ndarray] | None = None  # active groups, and the vehicles driven in them
-        self._window = deque((layout.states(past.state) for past in history), policy.history_steps)
+        *past, latest = (torch.from_numpy(layout.states(observation.state)) for observation in history)
+        observed = [channels.observed(state) for state in past] + [channels.observed(latest, final=False)]
+        self._window = deque((views.flatten(0, 1).numpy() for views in observed), policy.history_steps)
         self._state = self._commanded = layout.states(start.state)
         self.pose = layout.pose(self._commanded)
         self._decided_at: float | None = None
-        self._steps = 0
+        self._steps, self._took_over = 0, history[-1].time
         self.graphs: list[tuple[float, InteractionGraph]] = []
         self.failures: dict[int, str] = {}  # groups for which the policy has given no usable answer, and why
-        self._memory = PolicyState.empty(Trajectory.complete(_relative(self._state[:, :, None]), dt))
+        self._memory = PolicyState.empty(Trajectory.complete(_relative(np.stack(self._window, axis=2)), dt))
         try:
             self._memory = self._infer_graph(None)
             self._record_graph(history[-1].time)
@@ -74,7 +79,7 @@ class PolicyRunner:
 
     def _record_graph(self, time: float) -> None:
         if self._memory.graph is not None:
-            self.graphs.append((time, self._memory.graph))
+            self.graphs.append((time, _graph_of_views(self._memory.graph, self._channels.view_of)))
 
     def decide(self, time: float) -> None:
         """Call the policy and the dynamics: `pose` becomes where the vehicles are to be after the next step.
@@ -84,16 +89,17 @@ class PolicyRunner:
         if time == self._decided_at:
             return
         self._decided_at = time
-        observed = self._channels.observed_state(self._steps, torch.from_numpy(self._state)).numpy()
-        action = self._channels.executed_action(self._steps, self._usable(self._action(observed, time)))
+        observed = self._channels.observed(torch.from_numpy(self._state)).flatten(0, 1).numpy()
+        action = self._usable(self._of_own_view(self._action(observed, time)))
+        action = self._channels.executed_action(action)
         self._commanded = self._next_state(action.numpy().astype(float))
         self._steps += 1
         self.pose = self._layout.pose(self._commanded)
 
-    def _action(self, observed: Float[np.ndarray, "G 3 D"], time: float) -> Float[Tensor, "G 3 A"]:
-        """The policy's action, from a new graph where it is time for one; 0 where the policy fails."""
+    def _action(self, observed: Float[np.ndarray, "V 3 D"], time: float) -> Float[Tensor, "V 3 A"]:
+        """The policy's action in each view, from a new graph where it is time for one; 0 where the policy fails."""
         nothing = torch.zeros(*observed.shape[:2], len(self._dynamics.action))
-        if len(self.failures) == len(observed):
+        if len(self.failures) == len(self._state):
             return nothing
         try:
             if self._reinfer_steps and self._steps:
@@ -103,7 +109,7 @@ class PolicyRunner:
                     self._record_graph(time)
             action, self._memory = self._policy.act(self._memory, _relative(observed))
         except PolicyFailure as failure:
-            self._fail(range(len(observed)), str(failure))
+            self._fail(range(len(self._state)), str(failure))
             return nothing
         return action
 
@@ -117,6 +123,17 @@ class PolicyRunner:
 
     def _fail(self, groups: Iterable[int], reason: str) -> None:
         self.failures = {g: reason for g in groups} | self.failures
+
+    def _of_own_view(self, action: Float[Tensor, "V 3 A"]) -> Float[Tensor, "G 3 A"]:
+        """The action of each role from the view that drives it."""
+        if self._channels.views == 1:
+            return action
+        views = action.unflatten(0, (self._channels.views, -1))
+        return torch.stack([views[view, :, role] for role, view in enumerate(self._channels.view_of)], 1)
+
+    def effects(self, group: int, end: float) -> list[Effect]:
+        """What perturbed sensors and actuators did to a group that was driven until `end` [s]."""
+        return self._channels.effects(group, max(round((end - self._took_over) / self._dt), 1))
 
     def _next_state(self, action: Float[np.ndarray, "G 3 A"]) -> Float[np.ndarray, "G 3 D"]:
         """The next state by the dynamics, within what the road surface allows; no vehicle drives backwards."""
@@ -144,6 +161,17 @@ class PolicyRunner:
             mask[np.ix_(active, self._driven_roles)] = True
             self._mask = list(active), mask
         return self._mask[1]
+
+
+def _graph_of_views(graph: InteractionGraph, view_of: Sequence[int]) -> InteractionGraph:
+    """One graph per group from those of its views: an effect on a vehicle as in the view that drives the vehicle."""
+    views = max(view_of) + 1
+    if views == 1:
+        return graph
+    logits = graph.logits.unflatten(0, (views, -1))
+    of_receivers = torch.stack([logits[view_of[receiver], :, k] for k, (_, receiver) in enumerate(pairs(3))], 1)
+    unknown = None if graph.unknown is None else graph.unknown.unflatten(0, (views, -1)).amax(0)
+    return InteractionGraph(of_receivers, graph.vocabulary, unknown)
 
 
 def _relative(state: Float[np.ndarray, "G 3 *T D"]) -> Float[Tensor, "G 3 *T D"]:

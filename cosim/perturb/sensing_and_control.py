@@ -1,13 +1,12 @@
-"""Perturbed sensors and actuators of one round: noise, latency and dropout of what a policy observes, and noise, delay
-and limits of its actions.
+"""Perturbed sensors and actuators of one round: noise, dropout and latency of what a policy observes, noise and delay
+of its actions, and the friction of the road.
 
 All random numbers are drawn in advance, from the scenario's seed and the names of the group, so that all policies meet
-the same noise.
+the same noise. Every channel remembers what went in and what came out, from which its effect is measured.
 """
 
-from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from zlib import crc32
 
 import numpy as np
@@ -15,29 +14,36 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from cosim.perturb.effects import Effect, delay_between
 from cosim.perturb.traffic_demand import GRAVITY
 from cosim.spec.perturbations import (
     ActionDelay,
     ActionNoise,
     Dropout,
-    Latency,
+    LocalizationLatency,
     LowFriction,
     ObservationNoise,
+    PerceptionLatency,
     Perturbation,
 )
 from gri.core.dynamics import Dynamics
 
 States = Float[Tensor, "G 3 D"]
-Filter = Callable[[int, Tensor], Tensor]
-"""(number of the step, value) -> value; called once per step, in order."""
+Filter = Callable[[Sequence[Tensor]], Tensor]
+"""All values so far, the present one last -> what comes out at present."""
+Measure = Callable[[np.ndarray, np.ndarray], list[Effect]]
+"""What went into a filter and what came out for one group, of shape (T, views, 3, features) -> its effects."""
+OWN = ("a", "yaw_rate")  # features that a driver feels, or has commanded itself
+MIN_SPEED = 0.1  # [m/s]; slower vehicles have no lateral acceleration
 
 
 @dataclass(frozen=True)
 class RoundSetting:
     """What the channels depend on in a round.
 
-    `names` identify its groups, `driven_roles` are the roles that the policy drives, `past` are the states before the
-    take-over, `steps` is the largest number of steps, `dt` [s] is the length of a step.
+    `names` identify its groups, `driven_roles` are the roles that the policy drives, `steps` is the largest number of
+    observations, those of the history included, `dt` [s] is the length of a step. `curvature` gives the curvature of
+    the road [1/m] at the place of each vehicle.
     """
 
     dynamics: Dynamics
@@ -46,98 +52,186 @@ class RoundSetting:
     seed: int
     names: tuple[str, ...]
     driven_roles: tuple[int, ...]
-    past: tuple[Tensor, ...]
+    curvature: Callable[[States], Float[Tensor, "G 3"]]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One perturbation of a channel: its filter, and how its effect is measured."""
+
+    apply: Filter
+    measure: Measure
+
+
+@dataclass(frozen=True)
+class Channel:
+    """Stages in a row. `values` are the inputs of each stage so far, in order of time, and the last outputs."""
+
+    stages: tuple[Stage, ...] = ()
+    values: tuple[list[Tensor], ...] = ()
+
+    @classmethod
+    def of(cls, stages: Sequence[Stage]) -> "Channel":
+        """A channel through which nothing has gone yet."""
+        return cls(tuple(stages), tuple([] for _ in range(len(stages) + 1)))
+
+    def send(self, value: Tensor) -> Tensor:
+        """What comes out when `value` goes in, one step after the last call."""
+        for stage, seen in zip(self.stages, self.values, strict=False):
+            seen.append(value)
+            value = stage.apply(seen)
+        if self.stages:
+            self.values[-1].append(value)
+        return value
+
+    def preview(self, value: Tensor) -> Tensor:
+        """What `send` would return; the value is not sent."""
+        for stage, seen in zip(self.stages, self.values, strict=False):
+            value = stage.apply([*seen, value])
+        return value
+
+    def effects(self, group: int) -> list[Effect]:
+        """The effects that the stages have had on a group."""
+        found: list[Effect] = []
+        for k, stage in enumerate(self.stages):
+            before, after = (torch.stack(self.values[side])[..., group, :, :].numpy() for side in (k, k + 1))
+            found += stage.measure(before.astype(float), after.astype(float))
+        return found
+
+
+@dataclass(frozen=True)
+class Road:
+    """The friction of the road: no total acceleration above `limit` [m/s²].
+
+    `demanded` and `possible` have the greatest total acceleration of each vehicle before and after the cut, step by
+    step.
+    """
+
+    spec: LowFriction
+    limit: float
+    curvature: Callable[[States], Float[Tensor, "G 3"]]
+    demanded: list[Float[Tensor, "G 3"]] = field(default_factory=list)
+    possible: list[Float[Tensor, "G 3"]] = field(default_factory=list)
+
+    def cut(self, state: States, dynamics: Dynamics) -> States:
+        """The state with a total acceleration inside the friction circle.
+
+        The lateral acceleration is v·(ω + v·κ), with the yaw rate ω relative to the road and the road's curvature κ.
+        Both accelerations are reduced by one factor. Without a yaw rate (1-D) only the one along the road can be.
+        """
+        bounded, a, v = state.clone(), state[..., dynamics.index("a")], state[..., dynamics.speed]
+        bend = v.square() * self.curvature(state)
+        if "yaw_rate" in dynamics.state:
+            yaw = dynamics.index("yaw_rate")
+            lateral = v * state[..., yaw] + bend
+            factor = (self.limit / torch.hypot(a, lateral).clamp(min=1e-9)).clamp(max=1.0)
+            bounded[..., dynamics.index("a")] = a * factor
+            turned = (lateral * factor - bend) / v.clamp(min=MIN_SPEED)
+            cut = (factor < 1) & (v > MIN_SPEED)
+            bounded[..., yaw] = torch.where(cut, turned, state[..., yaw])
+            after = torch.hypot(a * factor, lateral * factor)
+        else:
+            lateral = bend
+            left = (self.limit**2 - bend.square()).clamp(min=0.0).sqrt()
+            bounded[..., dynamics.index("a")] = torch.minimum(torch.maximum(a, -left), left)
+            after = torch.hypot(bounded[..., dynamics.index("a")], lateral)
+        self.demanded.append(torch.hypot(a, lateral))
+        self.possible.append(after)
+        return bounded
+
+    def effects(self, group: int, driven_roles: Sequence[int], steps: int) -> list[Effect]:
+        """The greatest total acceleration of the driven vehicles in the first `steps` steps."""
+        roles, now = list(driven_roles), slice(0, steps)
+        demanded, possible = (
+            float(torch.stack(values[now])[:, group, roles].max()) for values in (self.demanded, self.possible)
+        )
+        quantity = "greatest acceleration when driven"
+        return [Effect(self.spec.kind, self.spec.intensity, quantity, "m/s²", self.limit, possible, demanded)]
 
 
 @dataclass(frozen=True)
 class SensingAndControl:
-    """The channels between the world and a policy; without filters and limit they change nothing.
+    """The channels between the world and a policy; without stages and road they change nothing.
 
-    `always_known` are the features that the policy knows without observing them, `limit` [m/s²] is the largest
-    acceleration or braking that the road surface allows.
+    Each of the `views` is what one driven vehicle, or all of them together (a single view), observe of the group.
+    `known[view, role, feature]` is known without observing it. `view_of[role]` is the view by which a role is driven.
     """
 
     dynamics: Dynamics
-    observation: tuple[Filter, ...] = ()
-    action: tuple[Filter, ...] = ()
-    always_known: Bool[Tensor, "3 D"] | None = None
-    limit: float | None = None
+    observation: Channel = field(default_factory=Channel)
+    action: Channel = field(default_factory=Channel)
+    known: Bool[Tensor, "E 3 D"] | None = None
+    view_of: tuple[int, ...] = (0, 0, 0)
+    driven_roles: tuple[int, ...] = ()
+    road: Road | None = None
 
-    def observed_state(self, step: int, state: States) -> States:
-        """What the policy observes, with what it always knows of the vehicles that it drives."""
-        if not self.observation:
-            return state
-        observed = _through(self.observation, step, state)
-        return observed if self.always_known is None else torch.where(self.always_known, state, observed)
+    @property
+    def views(self) -> int:
+        """The number of views."""
+        return max(self.view_of) + 1
 
-    def executed_action(self, step: int, action: Float[Tensor, "G 3 A"]) -> Float[Tensor, "G 3 A"]:
+    def observed(self, state: States, *, final: bool = True) -> Float[Tensor, "E G 3 D"]:
+        """What each view shows of the state; with `final=False` only what it would show."""
+        views = state.expand(self.views, *state.shape)
+        if not self.observation.stages:
+            return views
+        shown = self.observation.send(views) if final else self.observation.preview(views)
+        return shown if self.known is None else torch.where(self.known[:, None], views, shown)
+
+    def executed_action(self, action: Float[Tensor, "G 3 A"]) -> Float[Tensor, "G 3 A"]:
         """The action that the vehicle executes."""
-        return _through(self.action, step, action)
+        return self.action.send(action[None])[0] if self.action.stages else action
 
     def feasible_state(self, state: States) -> States:
         """The next state with an acceleration that the road surface allows."""
-        if self.limit is None:
-            return state
-        bounded, a = state.clone(), self.dynamics.index("a")
-        bounded[..., a] = state[..., a].clamp(-self.limit, self.limit)
-        return bounded
+        return state if self.road is None else self.road.cut(state, self.dynamics)
 
-
-def _through(filters: Sequence[Filter], step: int, value: Tensor) -> Tensor:
-    for apply in filters:
-        value = apply(step, value)
-    return value
+    def effects(self, group: int, steps: int) -> list[Effect]:
+        """What the perturbations of sensors, actuators and friction did to a group in its first `steps` steps."""
+        found = [*self.observation.effects(group), *self.action.effects(group)]
+        return found if self.road is None else found + self.road.effects(group, self.driven_roles, steps)
 
 
 def sensing_and_control(perturbations: Sequence[Perturbation], setting: RoundSetting) -> SensingAndControl:
     """The channels under these perturbations; other kinds of perturbations change nothing here."""
-    observation: list[Filter] = []
-    action: list[Filter] = []
-    limits: list[float] = []
+    own_views = any(isinstance(spec, PerceptionLatency | LocalizationLatency) for spec in perturbations)
+    views = tuple((role,) for role in setting.driven_roles) if own_views else (setting.driven_roles,)
+    own = torch.tensor([[role in roles for role in range(3)] for roles in views])
+    observation: list[Stage] = []
+    action: list[Stage] = []
+    frictions: list[LowFriction] = []
     for spec in perturbations:
         match spec:
             case ObservationNoise():
-                observation.append(_add(_noise(spec.kind, setting, _observation_sigma(spec, setting.dynamics))))
+                observation.append(_observation_noise(spec, setting))
             case Dropout():
-                observation.append(_drop(spec, setting))
-            case Latency():
-                observation.append(_delay(list(setting.past), delay_steps(spec.intensity, setting.dt)))
+                observation.append(_dropout(spec, setting))
+            case PerceptionLatency():
+                observation.append(_latency(spec, setting, ~own))
+            case LocalizationLatency():
+                observation.append(_latency(spec, setting, own))
             case ActionNoise():
-                scale = {"jerk": 1.0, "yaw_acceleration": spec.yaw}
-                sigma = [spec.intensity * scale[name] for name in setting.dynamics.action]
-                action.append(_add(_noise(spec.kind, setting, sigma)))
+                action.append(_action_noise(spec, setting))
             case ActionDelay():
-                steps = delay_steps(spec.intensity, setting.dt)
-                none = torch.zeros(len(setting.names), 3, len(setting.dynamics.action), dtype=torch.float64)
-                action.append(_delay([none] * steps, steps))
-            case LowFriction(intensity=friction):
-                limits.append(friction * GRAVITY)
+                action.append(_action_delay(spec, setting))
+            case LowFriction():
+                frictions.append(spec)
+    slippery = min(frictions, key=lambda spec: spec.intensity, default=None)
+    feels = torch.tensor([name in OWN for name in setting.dynamics.state])
     return SensingAndControl(
         dynamics=setting.dynamics,
-        observation=tuple(observation),
-        action=tuple(action),
-        always_known=_always_known(setting.driven_roles, setting.dynamics),
-        limit=min(limits, default=None),
+        observation=Channel.of(observation),
+        action=Channel.of(action),
+        known=own[..., None] & feels,
+        view_of=tuple(next((k for k, roles in enumerate(views) if role in roles), 0) for role in range(3)),
+        driven_roles=setting.driven_roles,
+        road=None if slippery is None else Road(slippery, slippery.intensity * GRAVITY, setting.curvature),
     )
-
-
-def _always_known(driven_roles: Sequence[int], dynamics: Dynamics) -> Bool[Tensor, "3 D"]:
-    """The features that a driver feels or has commanded itself: the acceleration and yaw rate of its own vehicle."""
-    known = torch.zeros(3, len(dynamics.state), dtype=torch.bool)
-    features = [k for k, name in enumerate(dynamics.state) if name in ("a", "yaw_rate")]
-    known[torch.tensor(driven_roles)[:, None], torch.tensor(features)] = True
-    return known
 
 
 def delay_steps(seconds: float, dt: float) -> int:
     """A delay [s] in steps of `dt` [s], rounded."""
     return round(seconds / dt)
-
-
-def _observation_sigma(spec: ObservationNoise, dynamics: Dynamics) -> list[float]:
-    """Standard deviation of every state feature."""
-    scale = {"x": 1.0, "y": spec.across, "v": spec.speed}
-    return [spec.intensity * scale.get(name, 0.0) for name in dynamics.state]
 
 
 def _rng(kind: str, setting: RoundSetting, group: str) -> np.random.Generator:
@@ -150,31 +244,99 @@ def _noise(kind: str, setting: RoundSetting, sigma: Sequence[float]) -> Float[Te
     return torch.from_numpy(np.stack(drawn, axis=1) * np.array(sigma))
 
 
-def _add(noise: Float[Tensor, "T G 3 F"]) -> Filter:
-    return lambda step, value: value + noise[step].to(value.dtype)
+def _observation_noise(spec: ObservationNoise, setting: RoundSetting) -> Stage:
+    """White noise on positions and speeds, the same in all views."""
+    scale = {"x": 1.0, "y": spec.across, "v": spec.speed}
+    sigma = [spec.intensity * scale.get(name, 0.0) for name in setting.dynamics.state]
+    noise = _noise(spec.kind, setting, sigma)
+    names = {"x": ("error along the road", "m"), "y": ("error across the road", "m"), "v": ("error of speed", "m/s")}
+
+    def measure(given: np.ndarray, shown: np.ndarray) -> list[Effect]:
+        error = np.sqrt(np.mean((shown - given) ** 2, axis=(0, 1, 2)))
+        return [
+            Effect(spec.kind, spec.intensity, *names[name], stated=sigma[k], measured=float(error[k]), unperturbed=0.0)
+            for k, name in enumerate(setting.dynamics.state)
+            if name in names
+        ]
+
+    return Stage(lambda seen: seen[-1] + noise[len(seen) - 1].to(seen[-1].dtype), measure)
 
 
-def _drop(spec: Dropout, setting: RoundSetting) -> Filter:
-    """Lose states at random and repeat the last one received; the first state is always received."""
+def _dropout(spec: Dropout, setting: RoundSetting) -> Stage:
+    """Lose states at random and show the last one received; the first state is always received."""
     lost = [_rng(spec.kind, setting, name).random((setting.steps, 3)) < spec.intensity for name in setting.names]
-    missing = torch.from_numpy(np.stack(lost, axis=1))[..., None]
-    held: list[Tensor] = []
+    step = np.arange(setting.steps)[:, None, None]
+    received = np.maximum.accumulate(np.where(np.stack(lost, axis=1) & (step > 0), 0, step), axis=0)
+    latest = torch.from_numpy(received)  # step of the last received state, of shape (T, G, 3)
 
-    def drop(step: int, value: Tensor) -> Tensor:
-        received = torch.where(missing[step], held[0], value) if held else value
-        held[:] = [received]
-        return received
+    def hold(seen: Sequence[Tensor]) -> Tensor:
+        at = latest[len(seen) - 1]
+        value = seen[-1]
+        for step in at.unique().tolist():
+            value = torch.where((at == step)[..., None], seen[step], value)
+        return value
 
-    return drop
+    def measure(given: np.ndarray, shown: np.ndarray) -> list[Effect]:
+        missing = float((given != shown).any(-1)[1:].mean()) if len(given) > 1 else np.nan
+        return [Effect(spec.kind, spec.intensity, "share of missing states", "", spec.intensity, missing, 0.0)]
+
+    return Stage(hold, measure)
 
 
-def _delay(past: Sequence[Tensor], steps: int) -> Filter:
-    """Return the value of `steps` ago; `past` are the values before the first step, repeated at the front."""
-    earlier = [*past[:1]] * max(steps - len(past), 0)
-    waiting = deque([*earlier, *past[max(len(past) - steps, 0) :]])
+def _latency(spec: PerceptionLatency | LocalizationLatency, setting: RoundSetting, late: Bool[Tensor, "E 3"]) -> Stage:
+    """Show the vehicles that are `late` in a view as they were some steps ago.
 
-    def delay(step: int, value: Tensor) -> Tensor:
-        waiting.append(value)
-        return waiting.popleft().to(value.dtype)
+    Before the first observation, a vehicle is taken to have driven straight on at its first speed.
+    """
+    steps, dynamics = delay_steps(spec.intensity, setting.dt), setting.dynamics
 
-    return delay
+    def delay(seen: Sequence[Tensor]) -> Tensor:
+        if len(seen) > steps:
+            past = seen[-1 - steps]
+        else:
+            past, earlier = seen[0].clone(), (steps - len(seen) + 1) * setting.dt
+            v, planar = past[..., dynamics.speed], "heading" in dynamics.state
+            heading = past[..., dynamics.index("heading")] if planar else torch.zeros_like(v)
+            past[..., dynamics.index("x")] -= earlier * v * heading.cos()
+            if planar:
+                past[..., dynamics.index("y")] -= earlier * v * heading.sin()
+        return torch.where(late[:, None, :, None], past, seen[-1])
+
+    def measure(given: np.ndarray, shown: np.ndarray) -> list[Effect]:
+        rows = late.numpy()
+        found = delay_between(given[:, rows], shown[:, rows]) if rows.any() else 0
+        return [_delay_effect(spec, found * setting.dt)]
+
+    return Stage(delay, measure)
+
+
+def _delay_effect(spec: PerceptionLatency | LocalizationLatency | ActionDelay, measured: float) -> Effect:
+    return Effect(spec.kind, spec.intensity, "delay", "s", spec.intensity, measured, 0.0)
+
+
+def _action_noise(spec: ActionNoise, setting: RoundSetting) -> Stage:
+    scale = {"jerk": 1.0, "yaw_acceleration": spec.yaw}
+    sigma = [spec.intensity * scale[name] for name in setting.dynamics.action]
+    noise = _noise(spec.kind, setting, sigma)
+    units = {"jerk": ("error of jerk", "m/s³"), "yaw_acceleration": ("error of yaw acceleration", "rad/s²")}
+
+    def measure(given: np.ndarray, executed: np.ndarray) -> list[Effect]:
+        error = np.sqrt(np.mean((executed - given) ** 2, axis=(0, 1, 2)))
+        return [
+            Effect(spec.kind, spec.intensity, *units[name], stated=sigma[k], measured=float(error[k]), unperturbed=0.0)
+            for k, name in enumerate(setting.dynamics.action)
+        ]
+
+    return Stage(lambda seen: seen[-1] + noise[len(seen) - 1].to(seen[-1].dtype), measure)
+
+
+def _action_delay(spec: ActionDelay, setting: RoundSetting) -> Stage:
+    """Execute the action of some steps ago, and none before the first one."""
+    steps = delay_steps(spec.intensity, setting.dt)
+    roles = list(setting.driven_roles)
+
+    def measure(given: np.ndarray, executed: np.ndarray) -> list[Effect]:
+        found = delay_between(given[:, :, roles], executed[:, :, roles])
+        return [_delay_effect(spec, found * setting.dt)]
+
+    return Stage(lambda seen: seen[-1 - steps] if len(seen) > steps else torch.zeros_like(seen[0]), measure)

@@ -12,6 +12,7 @@ import msgspec
 import pandas as pd
 
 from cosim.loop.trunk import MANY_WAITING
+from cosim.perturb.effects import COLUMNS as EFFECT_COLUMNS
 from cosim.process.worker_process import run_in_worker
 from cosim.runs.run_folder import next_folder, run_folder
 from cosim.runs.run_tables import TABLES, read_json, read_tables
@@ -94,6 +95,11 @@ class Run:
                 f" {arguments['waiting_outside_since']:g} s: the road cannot take the demand; lower traffic.flows"
             )
         return found
+
+    @property
+    def effects(self) -> pd.DataFrame:
+        """What each perturbation was to reach and what it reached; no rows without perturbations."""
+        return pd.DataFrame(self.manifest.get("effects", []), columns=EFFECT_COLUMNS)
 
     def figure(self, episode: int | None = None) -> Any:
         """A matplotlib `Figure` of one episode; by default the one whose leader changes speed most.

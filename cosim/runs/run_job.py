@@ -1,5 +1,6 @@
 """One run from a scenario to a run folder. It runs in a worker process: see `cosim.runs.run`."""
 
+import json
 import tempfile
 from collections import Counter
 from collections.abc import Callable, Mapping
@@ -11,10 +12,12 @@ import msgspec
 import torch
 
 from cosim.loop.closed_loop import run
+from cosim.perturb.effects import effects_table
 from cosim.runs import run_tables
 from cosim.runs.episode_figure import picture
 from cosim.runs.policy_loading import driver_of
 from cosim.runs.surroundings_table import write_surroundings
+from cosim.runs.traffic_effects import traffic_effects
 from cosim.runs.traffic_survey import Survey, survey
 from cosim.spec.input_files import find_net, input_files, sha256
 from cosim.spec.scenario import LeftToSumo, Scenario, tag_of
@@ -68,6 +71,7 @@ def run_job(
         files = SumoFiles(inputs["net"], Path(scratch, "routes.rou.xml"), folder / "sumo.log")
         try:
             outcome = run(scenario, files, driver, tell)
+            effects = effects_table([*outcome.effects, *traffic_effects(scenario, tell)])
         except SumoError as error:
             raise InputError(f"SUMO refused the scenario: {error}") from error
         routes = None if scenario.traffic.has_own_files else sha256(files.routes)
@@ -113,7 +117,8 @@ def run_job(
         "waiting_outside_since": outcome.backlog.since,
         "routes_sha256": routes,
     }
-    run_tables.write_manifest(folder, run_tables.manifest(run_facts, inputs, folder))
+    manifest = run_tables.manifest(run_facts, inputs, folder)
+    run_tables.write_manifest(folder, manifest | {"effects": json.loads(effects.to_json(orient="records"))})
     if draw:
         tell("picture", 0, 1)
         picture(tables, folder / "episode.png", folder=folder)

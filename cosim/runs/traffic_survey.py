@@ -18,8 +18,8 @@ TELL_EVERY = 100  # steps
 class Survey:
     """Samples of the study area once a second from the end of the warm-up on, and what went wrong at any time.
 
-    `samples` has a row per vehicle and second: time [s], vehicle, its length [m], lane (1 = leftmost), x [m] from the
-    entry of the study area, v [m/s], a [m/s²] (the mean over the past step).
+    `samples` has a row per vehicle and second: time [s], vehicle, its class (`kind`) and length [m], lane
+    (1 = leftmost), x [m] from the entry of the study area, v [m/s], a [m/s²] (the mean over the past step).
     """
 
     samples: pd.DataFrame
@@ -45,7 +45,9 @@ def survey(scenario: Scenario, files: SumoFiles, duration: float, tell: Progress
             if k >= first and k % second == 0:
                 snapshot = road.world.snapshot(road.frame)
                 hardest = min(hardest, float(snapshot.a.min(initial=0.0)))
-                parts.append(_samples(snapshot, scenario.road.length, lanes))
+                samples = _samples(snapshot, scenario.road.length, lanes)
+                kinds = road.world.drivers.kinds(samples["vehicle"])
+                parts.append(samples.assign(kind=[kind.rpartition(".")[0] for kind in kinds]))
             if k % TELL_EVERY == 0:
                 tell("traffic", k, total)
         samples = pd.concat(parts, ignore_index=True)

@@ -108,11 +108,14 @@ class Flow(Spec, frozen=True, kw_only=True):
 class Bottleneck(Spec, frozen=True, kw_only=True):
     """The downstream cause of congestion: speed limits [m/s] of some lanes, one per demand interval.
 
-    The last limit continues.
+    The last limit continues. `density_response` is by how much per cent the density in the study area rises where that
+    in the queue rises by one; above 1 where the queue covers only a part of the study area, because a denser queue is
+    longer, too. `denser_traffic` uses it.
     """
 
     lanes: Annotated[tuple[Place, ...], Meta(min_length=1)]
     limits: Annotated[tuple[SpeedLimit, ...], Meta(min_length=1)]
+    density_response: Annotated[float, Meta(ge=0.1, le=10)] = 1.0
 
 
 class Targets(Spec, frozen=True, kw_only=True):
@@ -136,7 +139,8 @@ class Traffic(Spec, frozen=True, kw_only=True):
     `warm_up` [s] comes first; a demand interval lasts `interval` [s]. Your own files are a configuration (`sumocfg`),
     or `routes` and `additional` files; where both are given, the lists replace those of the configuration. `options`
     are further options of SUMO, by their long names. Paths are relative to the file that names them. The options that
-    the coupling needs stay as they are (docs/own-scenarios.md).
+    the coupling needs stay as they are (docs/own-scenarios.md). With the coefficient of `friction` of the road, SUMO's
+    drivers slow down before bends (`low_friction` sets it).
     """
 
     warm_up: Period = 300.0
@@ -145,6 +149,7 @@ class Traffic(Spec, frozen=True, kw_only=True):
     flows: tuple[Flow, ...] = ()
     bottleneck: Bottleneck | None = None
     targets: Targets | None = None
+    friction: Annotated[float, Meta(ge=0.01, le=10)] | None = None
     sumocfg: Annotated[str, Meta(max_length=1000)] = ""
     routes: tuple[Place, ...] = ()
     additional: tuple[Place, ...] = ()

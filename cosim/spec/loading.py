@@ -2,15 +2,17 @@
 
 import difflib
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from cosim.spec.demand import Traffic
+from cosim.spec.perturbations import RENAMED
 from cosim.spec.scenario import Replay, Scenario
 from cosim.spec.sumo_configuration import read_configuration
-from gri.config import parsed, read_yaml, typed, unbounded_numbers
+from gri.config import located, parsed, read_yaml, typed, unbounded_numbers
 from gri.errors import InputError
 from gri.resources import is_file, shipped
 
@@ -30,6 +32,8 @@ def load_scenario(name: str, beside: Path | None = None, *, max_work: float | No
         content["traffic"] = beside_file(content["traffic"], path)
     if isinstance(content, dict) and max_work is not None:
         content["max_work"] = max_work
+    for k, problem in _renamed_kinds(content):
+        raise located(path, ["perturbations", f"[{k}]", "kind"], problem)
     return typed(_with_net_of_configuration(files_beside(content, path)), Scenario, path)
 
 
@@ -51,6 +55,15 @@ def files_beside(content: Any, path: Path) -> Any:
             placed = {**holder, inner: f"{path.parent / name}{colon}{rest}"}
             result = placed if field is None else {**result, field: placed}
     return result
+
+
+def _renamed_kinds(content: Any) -> Iterator[tuple[int, str]]:
+    """The perturbations of a scenario that have another kind since version 0.1: their numbers and what to write."""
+    blocks = content.get("perturbations") if isinstance(content, dict) else None
+    for k, block in enumerate(blocks if isinstance(blocks, list | tuple) else ()):
+        kind = block.get("kind") if isinstance(block, dict) else None
+        if isinstance(kind, str) and kind in RENAMED:
+            yield k, f"got {kind!r}, which has been replaced by {RENAMED[kind]}"
 
 
 def traffic_content(name: str, beside: Path) -> dict[str, Any]:
@@ -105,6 +118,8 @@ def override(scenario: Scenario, changes: dict[str, Any]) -> Scenario:
     content = {**msgspec.to_builtins(scenario), **changes}
     for fields, value in unbounded_numbers(content):
         raise InputError(f"{'.'.join(fields)}: got {value}, expected a finite number; change it")
+    for k, problem in _renamed_kinds(content):
+        raise InputError(f"perturbations[{k}].kind: {problem}")
     try:
         return msgspec.convert(content, Scenario)
     except (msgspec.ValidationError, OverflowError) as error:

@@ -3,9 +3,11 @@
     perturbations:
       - {kind: headway_ratio, intensity: 0.5}
 
-The graph is inferred from the undisturbed history; then, at the take-over, the perturbation begins. Everything except
-the intensity is fixed and stated in the docstring of each class. `neutral` is the intensity that changes nothing, and
-`default_intensities` are those of a stress test.
+Perturbed sensors act during the history, too, so that the graph is inferred from what they show. All other
+perturbations of a group begin at the take-over; those of the traffic act from the start of the simulation. Everything
+except the intensity is fixed and stated in the docstring of each class. `neutral` is the intensity that changes
+nothing, and `default_intensities` are those of a stress test. What each one reached is measured
+(`cosim.perturb.effects`).
 """
 
 from typing import Annotated, ClassVar
@@ -91,7 +93,7 @@ class NeighbourCutIn(PerturbationSpec, frozen=True, tag="neighbour_cut_in"):
 
 
 class ObservationNoise(PerturbationSpec, frozen=True, tag="observation_noise"):
-    """White noise on the observed states of all three vehicles.
+    """White noise on the observed states of all three vehicles, history included.
 
     The standard deviation is σ for positions along the road, 0.2 σ for positions across it, and 0.5 σ/s for speeds.
     """
@@ -103,20 +105,33 @@ class ObservationNoise(PerturbationSpec, frozen=True, tag="observation_noise"):
 
 
 class Dropout(PerturbationSpec, frozen=True, tag="dropout"):
-    """At each step, the observed state of a vehicle is missing with this probability; its last one is used.
+    """At each step, the observed state of a vehicle is missing with this probability; its last one is used instead.
 
-    Acceleration and yaw rate of the vehicles that the policy drives are never missing, see `Latency`.
+    The history is observed in the same way. Its first state is never missing, so no policy and no encoder ever gets an
+    empty state. Acceleration and yaw rate of the vehicles that the policy drives are never missing, see
+    `LocalizationLatency`.
     """
 
     intensity: Share
     symbol, unit, neutral, default_intensities = "probability", "", 0.0, (0.1, 0.2, 0.4, 0.6, 0.8)
 
 
-class Latency(PerturbationSpec, frozen=True, tag="latency"):
-    """The policy observes all three vehicles with a delay of the intensity [s].
+class PerceptionLatency(PerturbationSpec, frozen=True, tag="perception_latency"):
+    """Each driven vehicle perceives all other vehicles with a delay of the intensity [s], and itself without delay.
 
-    The acceleration and the yaw rate of the vehicles that it drives are observed without delay: a driver feels them,
-    and they are sums of its own commands. With a delay, every policy that commands jerk would oscillate.
+    The other vehicles include the second one that the policy drives. So each driven vehicle has its own view of the
+    group, from which it infers its graph and decides.
+    """
+
+    intensity: Annotated[float, Meta(ge=0, le=60)]
+    symbol, unit, neutral, default_intensities = "latency", "s", 0.0, (0.2, 0.4, 0.6, 0.8, 1.0)
+
+
+class LocalizationLatency(PerturbationSpec, frozen=True, tag="localization_latency"):
+    """Each driven vehicle knows its own position, heading and speed with a delay of the intensity [s].
+
+    It perceives the other vehicles without delay, in the coordinates of the road. Its own acceleration and yaw rate are
+    known without delay: a driver feels them, and they are sums of its own commands.
     """
 
     intensity: Annotated[float, Meta(ge=0, le=60)]
@@ -138,15 +153,24 @@ class ActionDelay(PerturbationSpec, frozen=True, tag="action_delay"):
     symbol, unit, neutral, default_intensities = "delay", "s", 0.0, (0.2, 0.4, 0.6, 0.8, 1.0)
 
 
-class DenserDemand(PerturbationSpec, frozen=True, tag="denser_demand"):
-    """All flows are multiplied by this factor."""
+class DenserTraffic(PerturbationSpec, frozen=True, tag="denser_traffic"):
+    """The density of the traffic in the study area [veh/km] is multiplied by this factor.
+
+    In a queue, a higher density goes with a lower speed and a lower flow. So the bottleneck's limits are lowered, and
+    the demand after the warm-up becomes what the road carries then (`cosim.perturb.traffic_demand`). Traffic without a
+    bottleneck gets the factor on its demand, up to the capacity of the road.
+    """
 
     intensity: Multiple
     symbol, unit, neutral, default_intensities = "factor", "", 1.0, (1.05, 1.1, 1.15, 1.2, 1.25)
 
 
 class MoreTrucks(PerturbationSpec, frozen=True, tag="more_trucks"):
-    """In every flow with trucks, trucks are this share of the vehicles; the other classes keep their proportions."""
+    """In every flow with trucks, trucks are at least this share of the vehicles; other classes keep their proportions.
+
+    The bottleneck keeps its limits. The demand becomes what the queue before it carries with these vehicles at the same
+    speed.
+    """
 
     intensity: Share
     symbol, unit, neutral, default_intensities = "truck share", "", 0.0, (0.1, 0.2, 0.3, 0.4, 0.5)
@@ -157,7 +181,8 @@ class AggressiveDrivers(PerturbationSpec, frozen=True, tag="aggressive_drivers")
 
     Compared with the class, they have 0.6 times the desired time headway, 0.75 times the standstill gap, 1.5 times the
     acceleration, a comfortable deceleration of 4.5 m/s², and twice the lane-change parameters `assertive` and
-    `speed_gain`.
+    `speed_gain`. With the same demand they would dissolve the queue. So the demand becomes what the queue carries with
+    these drivers at the same speed.
     """
 
     time_headway: ClassVar[float] = 0.6
@@ -170,7 +195,11 @@ class AggressiveDrivers(PerturbationSpec, frozen=True, tag="aggressive_drivers")
 
 
 class LowFriction(PerturbationSpec, frozen=True, tag="low_friction"):
-    """No vehicle accelerates or brakes harder than μ·g. SUMO's drivers take this into account; the policies do not."""
+    """No vehicle has a total acceleration, along and across its path together, above μ·g (friction circle).
+
+    SUMO's drivers know it: they plan with a lower acceleration and braking, and slow down before bends. The policies do
+    not know it: the road cuts the acceleration and the yaw rate that they command.
+    """
 
     intensity: Annotated[float, Meta(ge=0.01, le=10)]
     symbol, unit, neutral, default_intensities = "μ", "", 1.0, (0.6, 0.4, 0.3, 0.2, 0.15)
@@ -185,14 +214,21 @@ Perturbation = (
     | NeighbourCutIn
     | ObservationNoise
     | Dropout
-    | Latency
+    | PerceptionLatency
+    | LocalizationLatency
     | ActionNoise
     | ActionDelay
-    | DenserDemand
+    | DenserTraffic
     | MoreTrucks
     | AggressiveDrivers
     | LowFriction
 )
-CHANGES_DEMAND = (DenserDemand, MoreTrucks, AggressiveDrivers, LowFriction)
+CHANGES_DEMAND = (DenserTraffic, MoreTrucks, AggressiveDrivers, LowFriction)
 """Perturbations of vehicles and drivers of the demand, which must be described in the scenario."""
 KINDS: dict[str, type[PerturbationSpec]] = {str(kind.__struct_config__.tag): kind for kind in Perturbation.__args__}
+RENAMED = {
+    "latency": "perception_latency (others are seen late) and localization_latency (the own position is late); give one"
+    " of them, or both for the former meaning",
+    "denser_demand": "denser_traffic, whose intensity is a factor on the density; give that",
+}
+"""Kinds of version 0.1 and what to write instead."""

@@ -6,6 +6,7 @@ import os
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
@@ -13,14 +14,17 @@ import pandas as pd
 import torch
 from msgspec.structs import replace
 
+from cosim.loop.drive_effects import effects_of
 from cosim.loop.driving import Driver, RoundStart, drive, start_round
 from cosim.loop.intervention import Intervention
 from cosim.loop.perturbed_round import plan_intervention
 from cosim.loop.round_recorder import Round
 from cosim.loop.trunk import Trunk
 from cosim.loop.vehicles_ahead import SpeedRecord
+from cosim.perturb.effects import Effect
 from cosim.process.fork import CAN_FORK, fork
 from cosim.runs.policy_loading import driver_of
+from cosim.runs.traffic_effects import traffic_effects
 from cosim.spec.input_files import find_net
 from cosim.spec.scenario import Scenario
 from cosim.stress.plan import Cell, Chunk, perturbed_scenario
@@ -35,32 +39,54 @@ from gri.errors import InputError
 PAUSE = 4  # times that the trunk looks for groups, once a second, and that are skipped after a round
 
 Rows = list[dict[str, Any]]
+EFFECT_COLUMNS = ["policy", "start", *(field.name for field in fields(Effect))]
 
 
 def stress_chunk(chunk: Chunk, paths: Mapping[str, Path], facts: Mapping[str, Any], tell: Callable[..., None]) -> None:
     """Compute a chunk and write the rows of each of its parts to the path of its key, with `facts` as JSON beside.
 
-    A file appears whole or not at all. The wall-clock time [s] is shared evenly among the parts.
+    The effects of the perturbations on single groups are in a file beside it (`effects_path`). A file of rows appears
+    whole or not at all. The wall-clock time [s] is shared evenly among the parts.
     """
     torch.set_num_threads(1)
     began, parts = time.monotonic(), chunk.parts
-    rows = pd.DataFrame(chunk_rows(chunk, tell)).assign(seed=chunk.scenario.seed)
+    found, effects = chunk_rows(chunk, tell)
+    effects += _effects_on_traffic(chunk, next(iter(paths.values())).parent)
+    reached, rows = pd.DataFrame(effects, columns=EFFECT_COLUMNS), pd.DataFrame(found).assign(seed=chunk.scenario.seed)
     rows = rows.astype({"intensity": float})  # nominal rows only would give a column of objects
     seconds = round((time.monotonic() - began) / len(parts), 2)
     for part in parts:
         path, (name,) = paths[part.key], part.policies
-        mine = rows[(rows["policy"] == name) & (rows["perturbation"] == part.cells[0].perturbation)]
+        kind = part.cells[0].perturbation
+        mine = rows[(rows["policy"] == name) & (rows["perturbation"] == kind)]
+        reached[(reached["policy"] == name) & (reached["perturbation"] == kind)].to_csv(effects_path(path), index=False)
         partial = path.with_suffix(".partial")
         path.with_suffix(".json").write_text(json.dumps({**facts, "seconds": seconds}) + "\n")
         mine.assign(chunk=part.key).to_parquet(partial, index=False)
         os.replace(partial, path)
 
 
-def chunk_rows(chunk: Chunk, tell: Callable[..., None]) -> Rows:
-    """One row per start, cell and policy. Raises `InputError` if the traffic has too few starts, or without fork."""
+def effects_path(rows: Path) -> Path:
+    """The file of the effects of a part's perturbations, beside the file of its rows."""
+    return rows.with_suffix(".effects.csv")
+
+
+def _effects_on_traffic(chunk: Chunk, cache: Path) -> Rows:
+    """The effects of a perturbation of the traffic, the same for every policy; none for other perturbations."""
+    if chunk.unperturbed is None:
+        return []
+    whole = perturbed_scenario(replace(chunk.scenario, traffic=chunk.unperturbed), chunk.cells[0])
+    effects = traffic_effects(whole, lambda *_: None, cache)
+    return [{"policy": name, "start": "", **asdict(effect)} for name in chunk.policies for effect in effects]
+
+
+def chunk_rows(chunk: Chunk, tell: Callable[..., None]) -> tuple[Rows, Rows]:
+    """One row per start, cell and policy, and one per effect of a perturbation on these starts.
+
+    Raises `InputError` if the traffic has too few starts, or without fork."""
     if not CAN_FORK:
         raise InputError("stress tests share one warm-up by forking the process, which this system cannot")
-    scenario, rows, starts = chunk.scenario, [], 0
+    scenario, rows, effects, starts = chunk.scenario, [], [], 0
     drivers = {name: driver_of(replace(scenario, policy=policy)) for name, policy in chunk.policies.items()}
     cells = {cell: perturbed_scenario(scenario, cell) for cell in chunk.cells}
     with tempfile.TemporaryDirectory() as scratch:
@@ -79,7 +105,8 @@ def chunk_rows(chunk: Chunk, tell: Callable[..., None]) -> Rows:
                         this_round = dataclasses.replace(found, groups=isolated(found.groups, history[-1])[0])
                         starts += len(this_round.groups)
                         speeds = fork(lambda: trunk.leave_to_sumo(history, this_round)[1]).result()  # noqa: B023
-                        rows += round_rows(running, history, this_round, speeds, cells, drivers)
+                        driven, reached = round_rows(running, history, this_round, speeds, cells, drivers)
+                        rows, effects = rows + driven, effects + reached
                         tell("starts", starts, chunk.starts)
                         for _ in range(PAUSE):
                             trunk.observe_history()
@@ -90,7 +117,7 @@ def chunk_rows(chunk: Chunk, tell: Callable[..., None]) -> Rows:
             f"group: found {starts} of {chunk.starts} starts within {scenario.time_limit:g} s (seed {scenario.seed});"
             " loosen the group rule's gaps or raise time_limit"
         )
-    return rows
+    return rows, effects
 
 
 def round_rows(
@@ -100,12 +127,13 @@ def round_rows(
     speeds: SpeedRecord,
     cells: dict[Cell, Scenario],
     drivers: dict[str, Driver | None],
-) -> Rows:
-    """The rows of one round, each cell and policy in a branch of its own.
+) -> tuple[Rows, Rows]:
+    """The rows of one round and the effects of the perturbations, each cell and policy in a branch of its own.
 
     The vehicles ahead of the groups repeat the given speeds, which they have without perturbations and policies.
     """
     rows: Rows = []
+    effects: Rows = []
     for cell, scenario in cells.items():
         intervention = plan_intervention(scenario, history[-1], this_round).repeating(speeds, history[-1])
         for name, driver in drivers.items():
@@ -113,21 +141,35 @@ def round_rows(
             found = [_labels(group) | {"infeasible": reason.value} for group, reason in intervention.excluded]
             if intervention.round.groups:
                 start = start_round(running.frame, history, intervention, driver)
-                found += fork(lambda: branch_rows(running, start, intervention, history[-1])).result()  # noqa: B023
+                branch = fork(lambda: branch_rows(running, start, intervention, history[-1]))  # noqa: B023
+                driven, reached = branch.result()
+                found += driven
+                effects += [{"policy": name, **effect} for effect in reached]
             rows += [labels | row for row in found]
-    return rows
+    return rows, effects
 
 
-def branch_rows(running: RunningSimulation, start: RoundStart, intervention: Intervention, before: Snapshot) -> Rows:
-    """Drive a perturbed round and return its rows. This changes the simulation, so it runs in a branch."""
+def branch_rows(
+    running: RunningSimulation, start: RoundStart, intervention: Intervention, before: Snapshot
+) -> tuple[Rows, Rows]:
+    """Drive a perturbed round and return its rows and the effects of the perturbation.
+
+    This changes the simulation, so it runs in a branch.
+    """
     episodes = drive(running.world, running.frame, start)
     driven, third_gone = start.round.driven_roles, intervention.removes_third
     until = max(episode.end for episode in episodes)
     trace = [now for now in intervention.snapshots if now.time <= until + 1e-6]
-    return [
+    rows = [
         _labels(episode.group) | {"infeasible": ""} | result_row(episode, change, before, trace, driven, third_gone)
         for episode, change in zip(episodes, intervention.changes, strict=True)
     ]
+    reached = [
+        {"start": " ".join(episode.group.ids), **asdict(effect)}
+        for episode, effects in zip(episodes, effects_of(start, episodes), strict=True)
+        for effect in effects
+    ]
+    return rows, reached
 
 
 def _labels(group: Group) -> dict[str, Any]:

@@ -14,9 +14,10 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from cosim.perturb.traffic_demand import perturbed_traffic
+from cosim.spec.demand import Traffic
 from cosim.spec.input_files import checkpoint_path, find_net, sha256
 from cosim.spec.loading import override
-from cosim.spec.perturbations import KINDS, AggressiveDrivers, DenserDemand, LowFriction, MoreTrucks
+from cosim.spec.perturbations import CHANGES_DEMAND, KINDS, RENAMED
 from cosim.spec.scenario import (
     AFTERMATH,
     CarFollowing,
@@ -24,6 +25,7 @@ from cosim.spec.scenario import (
     Driver,
     Idm,
     LeftToSumo,
+    Replay,
     Scenario,
     TrainedPolicy,
 )
@@ -34,10 +36,11 @@ NOMINAL = "nominal"
 STARTS_PER_CHUNK = 10
 GROUPS_AT_ONCE = 12
 PACKAGES = ("gri-cosim", "libsumo", "numpy", "torch")  # whose versions a chunk depends on
-TRAFFIC_KINDS = tuple(
-    str(kind.__struct_config__.tag) for kind in (DenserDemand, MoreTrucks, AggressiveDrivers, LowFriction)
-)
+TRAFFIC_KINDS = tuple(str(kind.__struct_config__.tag) for kind in CHANGES_DEMAND)
 ONE_LANE_INTENSITIES = {"headway_ratio": (0.15, 0.3, 0.45, 0.6, 0.7)}  # default intensities where δ ≥ 1 is impossible
+ALL = "all"  # in place of a kind of perturbation: all that make sense for the scenario
+LEVELS_OF_ALL = 2  # intensities of each kind, if all kinds are wanted
+REINFER = 1.0  # [s] between two inferences of the graph, if the scenario does not infer again
 BASELINES: dict[str, Driver] = {"idm": Idm(), "constant_velocity": ConstantVelocity(), "sumo": LeftToSumo()}
 
 
@@ -52,13 +55,15 @@ class Cell:
 class Chunk(Struct, frozen=True):
     """A part of a stress test that runs in one simulation: `starts` groups, each driven by all policies in all cells.
 
-    The scenario has the seed of the chunk. If the only cell is a perturbation of traffic, it has that traffic, too.
+    The scenario has the seed of the chunk. If the only cell is a perturbation of traffic, it has that traffic, too, and
+    `unperturbed` is the traffic without the perturbation.
     """
 
     scenario: Scenario
     policies: dict[str, Driver]
     cells: tuple[Cell, ...]
     starts: int
+    unperturbed: Traffic | None = None
 
     @property
     def key(self) -> str:
@@ -108,15 +113,20 @@ def chunks(
     sweeps: Mapping[str, Sequence[float]],
     starts: int,
     starts_per_seed: int = STARTS_PER_CHUNK,
+    reinfer_s: float | None = None,
 ) -> tuple[Chunk, ...]:
     """The chunks of a stress test; the i-th block of `starts_per_seed` starts has the scenario's seed + i.
 
     Groups are observed for AFTERMATH after the drive. Up to GROUPS_AT_ONCE groups that are far apart are driven
-    together. Raises `InputError` if an intensity is out of range.
+    together. The graph is inferred again every `reinfer_s` [s] (0: never), by default as the scenario says or every
+    REINFER seconds, so that perturbed sensors reach the inference. Raises `InputError` if an intensity or `reinfer_s`
+    does not fit.
     """
     if scenario.seed + starts // STARTS_PER_CHUNK >= 2**31:
         raise InputError(f"--starts: {starts} starts need seeds up to 2147483648 or more; give a smaller seed")
+    changes = {"reinfer_s": scenario.reinfer_s or REINFER if reinfer_s is None else reinfer_s}
     scenario = replace(scenario, watch=AFTERMATH, groups_at_once=GROUPS_AT_ONCE, surroundings=False)
+    scenario = override(scenario, changes)
     cells = [Cell(kind, float(x)) for kind, intensities in sweeps.items() for x in intensities]
     shared = (Cell(), *(cell for cell in cells if cell.perturbation not in TRAFFIC_KINDS))
     found = []
@@ -128,27 +138,63 @@ def chunks(
         for cell in cells:
             if cell.perturbation in TRAFFIC_KINDS:
                 own = replace(perturbed_traffic(perturbed_scenario(seeded, cell)), perturbations=())
-                found.append(Chunk(own, dict(policies), (cell,), count))
+                found.append(Chunk(own, dict(policies), (cell,), count, seeded.traffic))
     return tuple(found)
 
 
-def sweeps_of(kinds: Sequence[str], intensities: Sequence[float], scenario: Scenario) -> dict[str, tuple[float, ...]]:
-    """The intensities of each kind of perturbation: those given, or the defaults of the kind.
+def senseless(scenario: Scenario) -> dict[str, str]:
+    """The kinds of perturbation that make no sense for a scenario, each with the reason."""
+    if isinstance(scenario.background, Replay):
+        return {kind: "the traffic is recorded" for kind in TRAFFIC_KINDS if kind != "low_friction"}
+    if scenario.traffic.has_own_files:
+        return dict.fromkeys(TRAFFIC_KINDS, "the traffic has SUMO files of its own")
+    trucks = {vehicles.name for vehicles in scenario.traffic.vehicles if vehicles.v_class == "truck"}
+    shares = [share for flow in scenario.traffic.flows for name, share in flow.classes.items() if name in trucks]
+    return {} if any(0 < share < 1 for share in shares) else {"more_trucks": "no flow has trucks and other vehicles"}
 
-    Raises `InputError` for an unknown kind, for given intensities with several kinds, and for anything given twice.
+
+def sweeps_of(
+    kinds: Sequence[str], intensities: Sequence[float], scenario: Scenario, levels: int | None = None
+) -> dict[str, tuple[float, ...]]:
+    """The intensities of each kind of perturbation: those given, or `levels` of the defaults, the greatest included.
+
+    The kind ALL stands for all kinds that make sense for the scenario. Without `levels`, each kind has all its default
+    intensities, with ALL it has LEVELS_OF_ALL. Raises `InputError` for an unknown kind, one that makes no sense, or for
+    given intensities with several kinds, and for anything given twice.
     """
     for option, given in (("--perturbation", kinds), ("--intensity", intensities)):
         if len(set(given)) < len(given):
             raise InputError(f"{option}: got {', '.join(map(str, given))[:200]}, expected each one once")
-    own = ONE_LANE_INTENSITIES if isinstance(scenario.group, CarFollowing) else {}
+    pointless = senseless(scenario)
+    if ALL in kinds:
+        levels = levels or LEVELS_OF_ALL
+        kinds = [kind for kind in KINDS if kind not in pointless]
     for kind in kinds:
+        if kind in RENAMED:
+            raise InputError(f"--perturbation: {kind!r} has been replaced by {RENAMED[kind]}")
         if kind not in KINDS:
-            raise InputError(f"--perturbation: unknown kind {kind!r}; the kinds are {', '.join(KINDS)}")
+            raise InputError(f"--perturbation: unknown kind {kind!r}; the kinds are {ALL}, {', '.join(KINDS)}")
+        if kind in pointless:
+            raise InputError(
+                f"--perturbation: {kind} makes no sense for this scenario ({pointless[kind]}); leave it out"
+            )
     if intensities and len(kinds) > 1:
         raise InputError(
             f"--intensity: got {len(kinds)} kinds of perturbation, whose intensities differ in scale; give one kind"
         )
-    return {kind: tuple(intensities) or own.get(kind, KINDS[kind].default_intensities) for kind in kinds}
+    return {kind: tuple(intensities) or _levels(_default_intensities(kind, scenario), levels) for kind in kinds}
+
+
+def _default_intensities(kind: str, scenario: Scenario) -> tuple[float, ...]:
+    own = ONE_LANE_INTENSITIES if isinstance(scenario.group, CarFollowing) else {}
+    return own.get(kind, KINDS[kind].default_intensities)
+
+
+def _levels(intensities: tuple[float, ...], levels: int | None) -> tuple[float, ...]:
+    """So many of the intensities, at equal distances in the list, the last one included."""
+    n = len(intensities)
+    count = min(levels or n, n)
+    return tuple(intensities[n * (k + 1) // count - 1] for k in range(count))
 
 
 def policies_of(names: Sequence[str], scenario: Scenario) -> dict[str, Driver]:

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from cosim.batch.group_statistics import Measure
+from cosim.perturb.effects import KEY, pooled, shown_effects
 from cosim.spec.perturbations import KINDS
 from cosim.stress.estimates import CELL, MEASURES, TIME_CAP
 from cosim.stress.plan import NOMINAL, TRAFFIC_KINDS
@@ -49,6 +50,7 @@ def stress_report(
     figures: Collection[str] = (),
     clusters: str = "",
     decided: str = "",
+    effects: pd.DataFrame | None = None,
 ) -> str:
     """The report of a stress test as Markdown; the tables are those of `cosim.stress.estimates`.
 
@@ -64,6 +66,12 @@ def stress_report(
     for kind in kinds:
         shown = [kind] if kind in TRAFFIC_KINDS else [NOMINAL, kind]
         parts += [f"## {kind}\n", _introduction(kind)]
+        if effects is not None and (effects["perturbation"] == kind).any():
+            reached = pooled(effects[effects["perturbation"] == kind], KEY)
+            table = shown_effects(reached)
+            parts.append(
+                f"{table.title}, in the mean over groups and policies:\n\n{markdown_table(table.head, table.lines)}"
+            )
         parts += [f"![{_alternative(kind)}](figures/{name}.png)\n" for name in _figures_of(kind, figures)]
         cells = counts[counts["perturbation"].isin(shown)]
         parts += [*filter(None, [_infeasible(cells)]), OUTCOME_HEADING, _outcome_table(cells, known)]

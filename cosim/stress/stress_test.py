@@ -16,11 +16,13 @@ import numpy as np
 import pandas as pd
 
 from cosim.batch.group_statistics import cluster_note
+from cosim.perturb.effects import KEY, pooled
 from cosim.process.worker_process import run_in_worker
 from cosim.runs.run_tables import read_json
 from cosim.spec.input_files import checkpoint_path, find_net, sha256
 from cosim.spec.scenario import Merge, Scenario, TrainedPolicy
 from cosim.stress import estimates, figures
+from cosim.stress.chunk import effects_path
 from cosim.stress.plan import NOMINAL, PACKAGES, Chunk
 from cosim.stress.report import stress_report
 from cosim.stress.result_rows import compared_with_sumo
@@ -33,10 +35,14 @@ RENAMED = {"taken_at": "takeover_time", "driven_for": "drive_duration"}  # colum
 
 @dataclass(frozen=True)
 class Computation:
-    """How the rows were computed: wall-clock time summed over workers [s], and the commits of the source trees."""
+    """How the rows were computed: wall-clock time summed over workers [s], and the commits of the source trees.
+
+    `effects` are the effects of the perturbations, pooled by policy, kind, intensity and quantity.
+    """
 
     worker_seconds: float
     commits: list[str]
+    effects: pd.DataFrame
 
 
 def run_stress(chunks: Sequence[Chunk], folder: Path, workers: int, tell: Tell) -> tuple[pd.DataFrame, Computation]:
@@ -64,8 +70,14 @@ def run_stress(chunks: Sequence[Chunk], folder: Path, workers: int, tell: Tell) 
         _finish([pool.submit(compute, chunk) for chunk in chunks if missing[chunk.key]])
     rows = pd.concat([_read_rows(chunk, paths) for chunk in chunks], ignore_index=True)
     records = [read_json(path.with_suffix(".json"), dict[str, Any]) for path in paths.values()]
+    effects = pd.concat(
+        [pd.read_csv(effects_path(path), keep_default_na=False, na_values=[""]) for path in paths.values()]
+    )
+    effects = effects.fillna({"unit": "", "remark": "", "start": ""})
     return compared_with_sumo(rows), Computation(
-        sum(part["seconds"] for part in records), sorted({part["commit"] for part in records})
+        sum(part["seconds"] for part in records),
+        sorted({part["commit"] for part in records}),
+        pooled(effects, ["policy", *KEY]),
     )
 
 
@@ -94,14 +106,19 @@ def _finish(futures: Sequence[Future[None]]) -> None:
 
 
 def publish(
-    chunks: Sequence[Chunk], rows: pd.DataFrame, folder: Path, facts: dict[str, Any], decided: str = ""
+    chunks: Sequence[Chunk],
+    rows: pd.DataFrame,
+    effects: pd.DataFrame,
+    folder: Path,
+    facts: dict[str, Any],
+    decided: str = "",
 ) -> list[Path]:
-    """Write rows, counts, estimates, differences, figures and report to `folder`; returns the files.
+    """Write rows, counts, estimates, differences, effects, figures and report to `folder`; returns the files.
 
     `facts` is written to `stress.json`, together with what is needed to compute the rows again. `decided` is the result
     of a sequential test.
     """
-    files = write_results(rows, chunks[0].scenario, folder, decided)
+    files = write_results(rows, effects, chunks[0].scenario, folder, decided)
     facts_file = folder / "stress.json"
     facts_file.write_text(
         json.dumps(facts | ({"decided": decided} if decided else {}) | provenance(chunks), indent=1) + "\n"
@@ -110,14 +127,24 @@ def publish(
 
 
 def write_results(
-    rows: pd.DataFrame, scenario: Scenario, folder: Path, decided: str = "", *, draw: bool = True
+    rows: pd.DataFrame,
+    effects: pd.DataFrame | None,
+    scenario: Scenario,
+    folder: Path,
+    decided: str = "",
+    *,
+    draw: bool = True,
 ) -> list[Path]:
-    """Write the tables of the rows (Parquet and CSV), the figures and the report to `folder`; returns the files."""
+    """Write the tables of the rows (Parquet and CSV), the figures and the report to `folder`; returns the files.
+
+    `effects` are those of the perturbations; tests of version 0.1 have none.
+    """
     kinds = [kind for kind in dict.fromkeys(rows["perturbation"]) if kind != NOMINAL]
     tables = {
         "counts": estimates.counts(rows),
         "estimates": estimates.estimates(rows),
         "differences": estimates.differences(rows),
+        **({} if effects is None else {"effects": effects}),
     }
     rows.to_parquet(folder / "episodes.parquet", index=False)
     for name, table in tables.items():
@@ -128,7 +155,7 @@ def write_results(
     drawn = sorted((folder / "figures").glob("*.[ps][nv]g"))
     title = f"Stress test: {scenario.description or scenario.net}"
     shown = (tables["counts"], tables["estimates"], tables["differences"])
-    text = stress_report(title, *shown, kinds, {path.stem for path in drawn}, cluster_note(rows), decided)
+    text = stress_report(title, *shown, kinds, {path.stem for path in drawn}, cluster_note(rows), decided, effects)
     report = folder / "stress.md"
     report.write_text(text, encoding="utf-8")
     return [report, folder / "episodes.parquet", *(folder / f"{name}.parquet" for name in tables), *drawn]
@@ -150,7 +177,9 @@ def publish_again(folder: Path, *, draw: bool = True) -> list[Path]:
     content = json.loads(facts.read_text())
     scenario = msgspec.convert(content["scenario"], Scenario)
     table = with_outcome_columns(pd.read_parquet(rows).rename(columns=RENAMED))
-    return write_results(table, scenario, folder, content.get("decided", ""), draw=draw)
+    known = folder / "effects.parquet"
+    effects = pd.read_parquet(known) if known.is_file() else None
+    return write_results(table, effects, scenario, folder, content.get("decided", ""), draw=draw)
 
 
 def provenance(chunks: Sequence[Chunk]) -> dict[str, Any]:

@@ -19,6 +19,7 @@ class Drivers:
     def __init__(self, sizes: CachedVehicleValues[tuple[float, float]]) -> None:
         self._sizes = sizes
         self._min_gaps = CachedVehicleValues(libsumo.vehicle.getMinGap)
+        self._kinds = CachedVehicleValues(libsumo.vehicle.getTypeID)
 
     def read_lanes(self, lanes: Sequence[str]) -> LaneTraffic:
         """Read the vehicles on these lanes and their leaders. The simulation must have no shadow vehicles."""
@@ -55,6 +56,10 @@ class Drivers:
         """Speed [m/s] of each vehicle, nan where it left the simulation."""
         present = set(libsumo.vehicle.getIDList())
         return [libsumo.vehicle.getSpeed(v) if v in present else math.nan for v in vehicles]
+
+    def kinds(self, vehicles: Iterable[str]) -> list[str]:
+        """The vehicle type of each vehicle."""
+        return [self._kinds[vehicle] for vehicle in vehicles]
 
     def parameters(self, vehicle: str) -> DriverParameters:
         """The constant parameters of a vehicle and its driver."""

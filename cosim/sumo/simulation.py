@@ -18,6 +18,7 @@ from tempfile import TemporaryFile
 import libsumo
 import numpy as np
 
+from cosim.sumo.bends import slow_before_bends
 from cosim.sumo.cache import CachedVehicleValues
 from cosim.sumo.drivers import Drivers
 from cosim.sumo.net import Net
@@ -237,6 +238,10 @@ class Sumo:
     def route_ahead(self, vehicle: str) -> tuple[str, ...]:
         """Edges of a vehicle's route from the one it is on; on a junction, from the one it comes from."""
         return tuple(libsumo.vehicle.getRoute(vehicle)[max(libsumo.vehicle.getRouteIndex(vehicle), 0) :])
+
+    def slow_before_bends(self, friction: float) -> None:
+        """Let SUMO's drivers slow down before bends, on a road with this coefficient of friction."""
+        slow_before_bends(friction)
 
     def waiting(self) -> int:
         """Number of vehicles that could not enter the net at their departure time and still wait."""

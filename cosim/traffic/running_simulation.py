@@ -37,6 +37,8 @@ def simulation(inputs: SimulationInput) -> Iterator[RunningSimulation]:
     scenario = inputs.scenario
     with sumo(inputs.arguments, inputs.files.log) as world:
         frame = _road(world, scenario.road, inputs.files.net)
+        if inputs.friction is not None:
+            world.slow_before_bends(inputs.friction)
         recorded = None
         if isinstance(scenario.background, Replay):
             recorded = RecordedVehicles(

@@ -37,7 +37,8 @@ class SimulationInput:
 
     `scenario` is the scenario as it is simulated: where a recording is replayed, its traffic has no demand and no
     warm-up. `texts` are the contents of the files to write, `arguments` is SUMO's command line, `tracks` are the
-    recorded vehicles to replay. Traffic perturbations of the scenario are part of the route file only.
+    recorded vehicles to replay, `friction` is the coefficient of friction for which drivers slow down before bends.
+    Traffic perturbations of the scenario are in the files and the friction only, not in `scenario.traffic`.
     """
 
     scenario: Scenario
@@ -47,6 +48,7 @@ class SimulationInput:
     tracks: tuple[RecordedTrack, ...]
     end: float
     """Time [s] until which there is traffic: the end of the demand, or of the recording where that ends earlier."""
+    friction: float | None = None
 
     def write(self) -> None:
         """Write the files that SUMO reads besides the net and the user's own files."""
@@ -72,15 +74,16 @@ def prepare_simulation(scenario: Scenario, files: SumoFiles, duration: float) ->
     if scenario.traffic.has_own_files:
         return _with_own_files(scenario, files, duration)
     end_of_demand = scenario.traffic.warm_up + duration
+    traffic = perturbed_traffic(scenario).traffic
     paths = (str(path) for path in (files.net, files.routes, files.signs, files.log))
-    routes = route_file(perturbed_traffic(scenario).traffic, scenario.seed, end_of_demand)
     return SimulationInput(
         scenario=scenario,
         files=files,
-        texts={files.routes: routes, files.signs: sign_file(scenario.traffic)},
+        texts={files.routes: route_file(traffic, scenario.seed, end_of_demand), files.signs: sign_file(traffic)},
         arguments=tuple(arguments(scenario, *paths)),
         tracks=tracks,
         end=min(end_of_demand, end_of_recording),
+        friction=traffic.friction,
     )
 
 
@@ -107,5 +110,6 @@ def _with_own_files(scenario: Scenario, files: SumoFiles, duration: float) -> Si
             )
         ),
         tracks=(),
+        friction=scenario.traffic.friction,
         end=end if given.end is None else min(end, given.end),
     )

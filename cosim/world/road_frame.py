@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 NOMINAL_LENGTH = 5.0  # [m], of a vehicle ahead in the model's frame
+CURVATURE_REACH = 10.0  # [m] behind and ahead, over which the curvature is measured
 
 
 def heading_of(sumo_angle: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
@@ -86,6 +87,15 @@ class RoadFrame:
     def heading_at(self, s: Float[np.ndarray, " V"]) -> Float[np.ndarray, " V"]:
         """Heading of the road [rad]."""
         return self._sideways[1][self._segment_at(s)]
+
+    def curvature_at(self, s: Float[np.ndarray, " V"], d: Float[np.ndarray, " V"]) -> Float[np.ndarray, " V"]:
+        """Curvature [1/m] of the road at road coordinates, positive in a bend to the left.
+
+        It is the change of heading from 10 m behind to 10 m ahead, so that bends may be polylines.
+        """
+        turn = self.heading_at(s + CURVATURE_REACH) - self.heading_at(s - CURVATURE_REACH)
+        along = ((turn + np.pi) % (2 * np.pi) - np.pi) / (2 * CURVATURE_REACH)
+        return along / np.maximum(1 - along * d, 0.1)  # a lane on the inner side has a smaller radius
 
     def _segment_at(self, s: Float[np.ndarray, " V"]) -> Int[np.ndarray, " V"]:
         _, direction, arc = self._segments

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from cosim.batch.run_matrix import Cell
+from cosim.perturb.effects import Effect, effects_table
 from cosim.runs.run_tables import events_table, graphs_table, groups_table, steps_table
 from cosim.runs.surroundings_table import read_surroundings, write_surroundings
 from cosim.stress.estimates import counts, differences, estimates
@@ -74,6 +75,11 @@ def test_endings_and_events():
 
 def test_the_labels_of_a_batch():
     assert named("## Tables of a batch") == ["run", *(field.name for field in fields(Cell))]
+
+
+def test_the_effects_of_perturbations():
+    effect = Effect("dropout", 0.4, "share of missing states", "", 0.4, 0.4, 0.0)
+    assert named("`effects.parquet`: one row") == ["policy", *effects_table([effect]).columns]
 
 
 def test_the_tables_of_a_stress_test():

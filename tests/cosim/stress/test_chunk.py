@@ -27,7 +27,7 @@ def chunk(short_scenario):
 
 @pytest.fixture(scope="module")
 def rows(chunk) -> pd.DataFrame:
-    return pd.DataFrame(chunk_rows(chunk, quiet))
+    return pd.DataFrame(chunk_rows(chunk, quiet)[0])
 
 
 def test_every_policy_drives_every_start_in_every_cell(rows):
@@ -56,7 +56,7 @@ def test_a_policy_at_constant_velocity_runs_into_a_braking_leader(rows):
 
 def test_a_branch_does_not_disturb_another(chunk, rows):
     """A cell and a policy alone give the rows they give among all the others."""
-    alone = pd.DataFrame(chunk_rows(replace(chunk, cells=chunk.cells[-1:], policies={"idm": Idm()}), quiet))
+    alone = pd.DataFrame(chunk_rows(replace(chunk, cells=chunk.cells[-1:], policies={"idm": Idm()}), quiet)[0])
     among = rows[(rows["perturbation"] == "neighbour_cut_in") & (rows["policy"] == "idm")].reset_index(drop=True)
     pd.testing.assert_frame_equal(alone, among[alone.columns], check_exact=True, check_dtype=False)
 
@@ -65,13 +65,13 @@ def test_undisturbed_episodes_alone_are_written_as_those_among_others(chunk, tmp
     """Their intensity is missing, which must not make it a column of another type."""
     alone = replace(chunk, cells=chunk.cells[:1], policies={"idm": Idm()})
     row = {"policy": "idm", "perturbation": NOMINAL, "intensity": None}
-    monkeypatch.setattr(chunk_module, "chunk_rows", lambda *_: [row])
+    monkeypatch.setattr(chunk_module, "chunk_rows", lambda *_: ([row], []))
     stress_chunk(alone, {alone.key: tmp_path / "part.parquet"}, {}, quiet)
     assert pd.read_parquet(tmp_path / "part.parquet")["intensity"].dtype == float
 
 
 def test_perturbed_traffic(short_scenario):
     _, chunk = chunks(replace(short_scenario, horizon=2.0), {"idm": Idm()}, {"low_friction": (0.3,)}, starts=2)
-    rows = pd.DataFrame(chunk_rows(chunk, quiet))
+    rows = pd.DataFrame(chunk_rows(chunk, quiet)[0])
     assert set(rows["perturbation"]) == {"low_friction"}
     assert (rows["min_acceleration"] >= -0.3 * 9.81 - 1e-6).all()

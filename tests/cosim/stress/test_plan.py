@@ -5,8 +5,8 @@ from msgspec.structs import replace
 
 from cosim.spec.loading import load_scenario
 from cosim.spec.perturbations import KINDS, HeadwayRatio
-from cosim.spec.scenario import ConstantVelocity, Idm, LeftToSumo, TrainedPolicy
-from cosim.stress.plan import Cell, chunks, perturbed_scenario, policies_of, sweeps_of
+from cosim.spec.scenario import ConstantVelocity, Idm, LeftToSumo, Replay, TrainedPolicy
+from cosim.stress.plan import Cell, chunks, perturbed_scenario, policies_of, senseless, sweeps_of
 from gri.errors import InputError
 from gri.resources import find_checkpoint
 
@@ -20,23 +20,24 @@ POLICIES = {"idm": Idm(), "sumo": LeftToSumo()}
 
 
 def test_what_happens_at_the_take_over_shares_one_simulation_per_seed(scenario):
-    parts = chunks(scenario, POLICIES, {"headway_ratio": (0.1, 0.2), "latency": (0.4,)}, starts=24)
+    parts = chunks(scenario, POLICIES, {"headway_ratio": (0.1, 0.2), "action_delay": (0.4,)}, starts=24)
     assert [part.starts for part in parts] == [10, 10, 4]
     assert [part.scenario.seed for part in parts] == [1, 2, 3]
-    assert parts[0].cells == (Cell(), Cell("headway_ratio", 0.1), Cell("headway_ratio", 0.2), Cell("latency", 0.4))
+    assert parts[0].cells == (Cell(), Cell("headway_ratio", 0.1), Cell("headway_ratio", 0.2), Cell("action_delay", 0.4))
     assert len({part.key for part in parts}) == 3
 
 
 def test_perturbed_traffic_has_a_simulation_of_its_own(scenario):
-    parts = chunks(scenario, POLICIES, {"denser_demand": (1.1, 1.2)}, starts=9)
-    assert [part.cells for part in parts] == [(Cell(),), (Cell("denser_demand", 1.1),), (Cell("denser_demand", 1.2),)]
-    rates = [part.scenario.traffic.flows[0].per_hour[0] for part in parts]
-    assert rates == pytest.approx([rates[0], 1.1 * rates[0], 1.2 * rates[0]])
+    parts = chunks(scenario, POLICIES, {"denser_traffic": (1.1, 1.2)}, starts=9)
+    assert [part.cells for part in parts] == [(Cell(),), (Cell("denser_traffic", 1.1),), (Cell("denser_traffic", 1.2),)]
+    limits = [part.scenario.traffic.bottleneck.limits[0] for part in parts]
+    assert limits[0] > limits[1] > limits[2]
+    assert [part.unperturbed for part in parts] == [None, scenario.traffic, scenario.traffic]
 
 
 def test_the_key_tells_everything_apart_that_matters(scenario):
     def key(of=scenario, policies=POLICIES, intensity=0.1, starts=8):
-        return chunks(of, policies, {"latency": (intensity,)}, starts)[0].key
+        return chunks(of, policies, {"action_delay": (intensity,)}, starts)[0].key
 
     assert key() == key(of=replace(scenario, description="another"))
     others = [key(of=replace(scenario, seed=7)), key(policies={"idm": Idm()}), key(intensity=0.2), key(starts=9)]
@@ -47,13 +48,13 @@ def test_rows_are_kept_by_kind_and_policy(scenario):
     """Who adds a policy, a kind or an intensity drives what is new, and nothing else."""
 
     def chunk(policies, sweeps):
-        return chunks(scenario, policies, {"latency": (0.2, 0.4)} | sweeps, starts=8)[0]
+        return chunks(scenario, policies, {"action_delay": (0.2, 0.4)} | sweeps, starts=8)[0]
 
     before = {part.key for part in chunk(POLICIES, {}).parts}
     assert len(before) == 2 * 2
     noise = {"action_noise": (1.0,)}
     for policies, sweeps, named, kinds in (
-        (POLICIES | {"coasting": ConstantVelocity()}, {}, ["coasting"], ["nominal", "latency", "latency"]),
+        (POLICIES | {"coasting": ConstantVelocity()}, {}, ["coasting"], ["nominal", "action_delay", "action_delay"]),
         (POLICIES, noise, ["idm", "sumo"], ["action_noise"]),
     ):
         whole = chunk(policies, sweeps)
@@ -75,15 +76,51 @@ def test_intensities_out_of_range_are_refused_before_anything_runs(scenario):
 
 
 def test_default_intensities(scenario):
-    found = sweeps_of(["headway_ratio", "latency"], [], scenario)
+    found = sweeps_of(["headway_ratio", "action_delay"], [], scenario)
     assert max(found["headway_ratio"]) < 1  # in one lane
-    assert found["latency"] == KINDS["latency"].default_intensities
+    assert found["action_delay"] == KINDS["action_delay"].default_intensities
     assert all(len(kind.default_intensities) == 5 for kind in KINDS.values())
-    assert sweeps_of(["latency"], [0.3], scenario) == {"latency": (0.3,)}
+    assert sweeps_of(["action_delay"], [0.3], scenario) == {"action_delay": (0.3,)}
+
+
+def test_all_kinds_are_all_that_make_sense(scenario):
+    found = sweeps_of(["all"], [], scenario)
+    assert list(found) == list(KINDS)
+    assert all(len(intensities) == 2 for intensities in found.values())
+    assert found["action_delay"] == (0.4, 1.0)
+    assert sweeps_of(["all"], [], scenario, levels=5)["action_delay"] == KINDS["action_delay"].default_intensities
+    recorded = replace(scenario, background=Replay(lane_1=1.8))
+    left_out = {"denser_traffic", "more_trucks", "aggressive_drivers"}
+    assert set(senseless(recorded)) == left_out
+    assert set(sweeps_of(["all"], [], recorded)) == set(KINDS) - left_out
+    flows = tuple(replace(flow, classes={"car": 1.0}) for flow in scenario.traffic.flows)
+    without_trucks = replace(scenario, traffic=replace(scenario.traffic, flows=flows))
+    assert set(senseless(without_trucks)) == {"more_trucks"}
+    with pytest.raises(InputError, match="no flow has trucks"):
+        sweeps_of(["more_trucks"], [], without_trucks)
+
+
+def test_the_graph_is_inferred_again_in_a_stress_test(scenario):
+    """Otherwise perturbed sensors would reach the first inference only."""
+
+    def reinfer(of, given=None):
+        return chunks(of, POLICIES, {}, 1, reinfer_s=given)[0].scenario.reinfer_s
+
+    assert scenario.reinfer_s == 0
+    assert reinfer(scenario) == 1.0
+    assert reinfer(replace(scenario, reinfer_s=2.0)) == 2.0
+    assert reinfer(scenario, 0.0) == 0
+    with pytest.raises(InputError, match="multiple of step"):
+        reinfer(scenario, 0.3)
 
 
 @pytest.mark.parametrize(
-    ("kinds", "intensities", "message"), [(["fog"], [], "fog"), (["latency", "dropout"], [0.1], "give one kind")]
+    ("kinds", "intensities", "message"),
+    [
+        (["fog"], [], "fog"),
+        (["latency"], [], "perception_latency"),
+        (["action_delay", "dropout"], [0.1], "give one kind"),
+    ],
 )
 def test_bad_perturbations(scenario, kinds, intensities, message):
     with pytest.raises(InputError, match=message):

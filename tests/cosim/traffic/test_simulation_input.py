@@ -28,13 +28,15 @@ def test_nothing_is_written_before_write(files):
     assert files.signs.read_text() == inputs.texts[files.signs] == sign_file(scenario.traffic)
 
 
-def test_perturbed_traffic_is_in_the_route_file_only(files):
-    scenario = override(
-        load_scenario("us101_car_following"), {"perturbations": [{"kind": "denser_demand", "intensity": 1.2}]}
-    )
+def test_perturbed_traffic_is_in_the_files_and_the_friction_only(files):
+    blocks = [{"kind": "denser_traffic", "intensity": 1.2}, {"kind": "low_friction", "intensity": 0.3}]
+    scenario = override(load_scenario("us101_car_following"), {"perturbations": blocks})
     inputs = prepare_simulation(scenario, files, 60.0)
     assert inputs.scenario == scenario
-    assert inputs.texts[files.routes] == route_file(perturbed_traffic(scenario).traffic, scenario.seed, inputs.end)
+    traffic = perturbed_traffic(scenario).traffic
+    assert inputs.texts[files.routes] == route_file(traffic, scenario.seed, inputs.end)
+    assert inputs.texts[files.signs] == sign_file(traffic) != sign_file(scenario.traffic)
+    assert inputs.friction == 0.3
 
 
 def test_a_replay_without_a_recording_is_refused(files):
