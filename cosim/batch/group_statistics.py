@@ -57,7 +57,10 @@ class Measure:
         values, cluster = self.values(groups), clusters(groups)
         if not self.share:
             finite = np.isfinite(values)
-            return (median if self.median else mean)(values[finite], cluster[finite])
+            found = (median if self.median else mean)(values[finite], cluster[finite])
+            if self.unit != "share":
+                return found
+            return replace(found, low=float(np.clip(found.low, 0, 1)), high=float(np.clip(found.high, 0, 1)))
         found = share(values, cluster)
         if self.most is None:
             return found

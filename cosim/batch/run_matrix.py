@@ -16,7 +16,7 @@ import msgspec
 from cosim.batch.spec import NOMINAL, PLAIN, Batch, ExtraRun, Sweep
 from cosim.spec.input_files import input_files, refuse_foreign_code, sha256
 from cosim.spec.loading import files_beside, find_file, load_scenario, traffic_content
-from cosim.spec.scenario import MAX_WORK, Driver, Scenario, tag_of
+from cosim.spec.scenario import MAX_WORK, Driver, Scenario, policy_name
 from gri.config import checked, located, parsed, typed
 from gri.errors import InputError
 
@@ -178,7 +178,7 @@ class _KnownNames:
         own = self.scenarios[extra.scenario]
         return Cell(
             extra.scenario,
-            extra.policy or tag_of(own.policy),
+            extra.policy or policy_name(own.policy),
             extra.perturbation or NOMINAL,
             extra.intensity,
             extra.variant or PLAIN,
@@ -187,7 +187,7 @@ class _KnownNames:
 
     def check(self, cell: Any, path: Path, where: Sequence[str]) -> None:
         """Raise `InputError` for a name that is not in the batch file."""
-        own = tuple(tag_of(scenario.policy) for scenario in self.scenarios.values())
+        own = tuple(policy_name(scenario.policy) for scenario in self.scenarios.values())
         for field, known in (
             ("scenario", tuple(self.scenarios)),
             ("policy", self.policies or own),
@@ -211,7 +211,7 @@ class _Matrix:
     def cells(self) -> Iterator[Cell]:
         perturbed = [(name, k) for name in self._names.perturbations for k in self._intensities(name)]
         for scenario, own in self._names.scenarios.items():
-            policies = self._names.policies or (tag_of(own.policy),)
+            policies = self._names.policies or (policy_name(own.policy),)
             seeds = self._batch.seed_list() or (own.seed,)
             for policy, (name, intensity), variant, seed in product(policies, perturbed, self._names.variants, seeds):
                 yield Cell(scenario, policy, name, intensity, variant, seed)

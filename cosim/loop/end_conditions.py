@@ -40,9 +40,11 @@ def merging(
 ) -> Ending | None:
     """The ending of one group in which vehicle 0 merges; `width` [m] is that of vehicle 0.
 
-    LANE_LEFT: the lag vehicle or the leader left its lane. CUT_IN: another vehicle is between these two. LANE_END: the
-    front of vehicle 0 would pass the end of its lane in the next step while its centre is still on it; there is no road
-    beyond. MERGED: vehicle 0 is inside the target lane now; how long it must stay there is not decided here.
+    LANE_LEFT: the lag vehicle or the leader changed its lane, or the lag vehicle is outside it when vehicle 0 is inside
+    (drifting alone ends no drive, so that what it leads to is seen). CUT_IN: another vehicle is between these two.
+    LANE_END: the front of vehicle 0 would pass the end of its lane in the next step while its centre is still on it;
+    there is no road beyond. MERGED: vehicle 0 is inside the target lane now; how long it must stay there is not decided
+    here.
     """
     if (np.abs(now[1:, _D] - before[1:, _D]) > SAME_LANE).any():
         return Ending.LANE_LEFT
@@ -51,7 +53,10 @@ def merging(
     if now[0, _S] + now[0, _V] * dt >= lanes.source.end and now[0, _D] < lanes.boundary:
         return Ending.LANE_END
     inside = abs(now[0, _D] - lanes.target.centre) + 0.5 * width <= 0.5 * lanes.target.width
-    return Ending.MERGED if inside else None
+    if not inside:
+        return None
+    lag_in_lane = abs(now[1, _D] - lanes.target.centre) <= 0.5 * lanes.target.width
+    return Ending.MERGED if lag_in_lane else Ending.LANE_LEFT
 
 
 def _between(snapshot: Snapshot, rows: Rows, lanes: MergeLanes) -> Bool[np.ndarray, " V"]:

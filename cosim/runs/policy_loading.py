@@ -4,7 +4,7 @@ from pathlib import Path
 
 from cosim.loop.driving import Driver
 from cosim.loop.own_policy import OwnPolicy
-from cosim.runs.user_policy import own_policy
+from cosim.runs.user_policy import own_name, own_policy
 from cosim.spec import scenario as spec
 from cosim.spec.input_files import checkpoint_path
 from cosim.world.road_frame import NOMINAL_LENGTH
@@ -30,16 +30,17 @@ def driver_of(scenario: spec.Scenario, own: Policy | None = None) -> Driver | No
     policy = own or policy_of(scenario)
     if policy is None:
         return None
+    name = _name(scenario.policy, policy)
     if isinstance(scenario.policy, spec.UserPolicy):
         policy = OwnPolicy(policy, scenario.policy.decision_limit)
-    return Driver(_name(scenario.policy), policy, scenario.graph, scenario.steps(scenario.reinfer_s))
+    return Driver(name, policy, scenario.graph, scenario.steps(scenario.reinfer_s))
 
 
-def _name(policy: spec.Driver) -> str:
-    """The kind of policy; for a checkpoint, the objective it was trained with."""
-    if isinstance(policy, spec.TrainedPolicy):
-        return checkpoint.objective(checkpoint_path(policy.checkpoint))
-    return spec.tag_of(policy)
+def _name(choice: spec.Driver, policy: Policy) -> str:
+    """The kind of policy; for a checkpoint the objective it was trained with, for an own policy its own name."""
+    if isinstance(choice, spec.TrainedPolicy):
+        return checkpoint.objective(checkpoint_path(choice.checkpoint))
+    return own_name(policy) if isinstance(choice, spec.UserPolicy) else spec.tag_of(choice)
 
 
 def policy_of(scenario: spec.Scenario) -> Policy | None:

@@ -1,5 +1,6 @@
 """The Python door to closed-loop runs: `run` runs a scenario, `open_run` reads a finished run, both return a `Run`."""
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,10 +17,10 @@ from cosim.runs.run_folder import next_folder, run_folder
 from cosim.runs.run_tables import TABLES, read_json, read_tables
 from cosim.runs.summary import summary
 from cosim.runs.surroundings_table import read_surroundings
-from cosim.runs.user_policy import unfit
+from cosim.runs.user_policy import own_name, unfit
 from cosim.spec.input_files import refuse_foreign_code
 from cosim.spec.loading import find_file, load_scenario, override, with_recording
-from cosim.spec.scenario import Scenario, UserPolicy, tag_of
+from cosim.spec.scenario import Scenario, UserPolicy, policy_name
 from cosim.world.group_search import why_not_more
 from gri.errors import InputError
 from gri.resources import checkpoints
@@ -173,7 +174,8 @@ def run(
     if recording is not None:
         chosen = with_recording(chosen, Path(recording))
     name = chosen.net if isinstance(scenario, Scenario) else Path(scenario).stem
-    place = Path(folder) if folder else next_folder(Path("runs"), f"{name}-{tag_of(chosen.policy)}-seed{chosen.seed}")
+    driver = re.sub(r"[^\w.-]+", "-", policy_name(chosen.policy) if own is None else own_name(own))
+    place = Path(folder) if folder else next_folder(Path("runs"), f"{name}-{driver}-seed{chosen.seed}")
     with run_folder(place) as partial:
         run_in_worker(
             "cosim.runs.run_job:run_job",

@@ -96,7 +96,7 @@ def run_job(
         write_surroundings(folder, outcome.episodes, [] if driver is None else outcome.left_to_sumo)
     (folder / "scenario.json").write_bytes(msgspec.json.format(msgspec.json.encode(scenario)) + b"\n")
     run_facts = {
-        "driver": tag_of(scenario.policy),
+        "driver": tag_of(scenario.policy) if driver is None else driver.name,
         "seed": scenario.seed,
         "episodes": scenario.episodes,
         "sumo_arguments": _sumo_arguments(scenario, inputs),

@@ -25,6 +25,7 @@ from jaxtyping import Bool
 from cosim.loop.closed_loop import leader_deviation
 from cosim.measures.surrogate_safety import BRAKING, brakings
 from cosim.spec.input_files import sha256
+from cosim.spec.scenario import AFTERMATH
 from cosim.world.episode import COLUMNS, Episode
 from cosim.world.hand_back_columns import hand_back_columns
 from cosim.world.outcome_columns import outcome_columns
@@ -115,6 +116,7 @@ def _group(number: int, episode: Episode, expected: Mapping[tuple[int, int], Edg
 
 def _brakings(episode: Episode, when: Bool[np.ndarray, " T"], suffix: str) -> dict[str, int]:
     """How often a driven vehicle begins to brake harder than each threshold of BRAKING at these instants."""
+    when = when & (episode.time <= episode.end + AFTERMATH + 1e-6)
     tracks = [track_of_role(episode, role)[when & episode.valid[:, role]] for role in episode.judged_roles]
     return {
         f"brakings_{threshold:.0f}{suffix}": sum(brakings(track, threshold) for track in tracks if len(track.time))

@@ -65,6 +65,21 @@ def _imported(name: str) -> ModuleType:
         raise InputError(f"policy.object: {name} cannot be imported: {said}; correct it") from error
 
 
+def own_name(policy: object) -> str:
+    """The name of a policy in tables, pictures and file names: its attribute `name` if that is a text, else its class.
+
+    Raises:
+        InputError: the name is that of a driver of counterparts, with which the policy would be confused.
+    """
+    from cosim.world.episode import LEFT_ALONE  # imports torch
+
+    name = getattr(policy, "name", None)
+    name = name if isinstance(name, str) and name else type(policy).__name__
+    if name in LEFT_ALONE:
+        raise InputError(f"policy: got the name {name!r}, which means that no policy drives; give it another `name`")
+    return name
+
+
 def _loaded(path: Path) -> ModuleType:
     """The module of a file, under a name of its own; modules beside it can be imported by it."""
     spec = spec_from_file_location(f"own_policy_{path.stem}", path)

@@ -14,6 +14,7 @@ from cosim.batch.store import BatchStore
 from cosim.measures.statistics import Estimate, PairedTest, with_correction
 from cosim.runs.road_view import road_view
 from cosim.runs.run_tables import read_tables
+from cosim.runs.summary import shortest_time
 from cosim.show import graph_drawing, svg_charts
 from cosim.show.animation import script_of
 from cosim.show.episode_view import episode_view
@@ -158,8 +159,9 @@ def _episodes(store: BatchStore, groups: pd.DataFrame) -> list[dict[str, Any]]:
     for _, row in worst_episodes(groups, SHOWN_EPISODES).iterrows():
         folder = store.run_folder(str(row["run"]))
         tables, number = read_tables(folder), int(row["episode"])
-        data = script_of(episode_view(tables, number), road_view(tables, number, folder))
-        found.append({"row": row, "folder": folder, "data": data})
+        view = episode_view(tables, number)
+        shown = {"row": row, "folder": folder, "view": view, "data": script_of(view, road_view(tables, number, folder))}
+        found.append(shown | {"shortest_ttc": shortest_time(float(row["min_ttc"]))})
     return found
 
 

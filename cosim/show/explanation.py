@@ -1,29 +1,35 @@
-"""An episode explained in text, from the graph that the policy inferred and the terms of its reward.
+"""An episode explained in text: the graph that the policy inferred, why it acted as it did, and what its reward says.
 
-The weighted terms of the reward (gri.rewards.structured) are evaluated on the recorded drive, in the frame of the
-model: the node terms of each driven vehicle, and the edge terms of each inferred relation. The largest terms explain
-the drive.
+Why: the policy decides again without an edge (`cosim.show.action_effects`), and the text says what the edge did to the
+acceleration. Reward: its weighted terms (gri.rewards.structured) are evaluated on the recorded drive, in the frame of
+the model; the largest are named.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from textwrap import fill
 
 import numpy as np
-import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from cosim.runs.policy_loading import policy_of
 from cosim.runs.run_tables import read_json
+from cosim.runs.summary import driver_name
+from cosim.show.action_effects import AGREES, FAR, LOOK_BACK, Effect, drive_of, effects_of
 from cosim.show.episode_view import EpisodeView, InferredEdge
 from cosim.spec.input_files import checkpoint_path
 from cosim.spec.scenario import CarFollowing, Scenario, TrainedPolicy
-from cosim.world.road_frame import model_offsets
 from gri import checkpoint
 from gri.core.dynamics import DUBINS, POINT_MASS_1D
 from gri.core.graph import EdgeType
+from gri.errors import InputError
 from gri.rewards.structured import StructuredReward
 
+WIDTH = 80  # columns
+SMALL = 0.05  # [m/s²]; smaller effects round to nothing
+APART = 0.5  # [s] between two moments that are told
 VERBS = {"follow": "follows", "yield": "yields to", "cut_in": "cuts in ahead of"}
 MEANING = {
     ("node", "speed"): "keeping the desired speed",
@@ -66,24 +72,129 @@ class Term:
 
 
 def explanation(view: EpisodeView, run: Path) -> str:
-    """The inferred graph, the drive and the largest reward terms of one episode, as text. `run` is the run folder."""
+    """The inferred graph, the drive and its reasons, as text of at most 80 columns. `run` is the run folder."""
     scenario = read_json(run / "scenario.json", Scenario)
+    driven = [role for role in range(2) if view.driven[:, role].any()]
+    effects, remark = _effects(view, scenario, driven)
     reward = None
     if isinstance(scenario.policy, TrainedPolicy):
         reward = checkpoint.load_reward(checkpoint_path(scenario.policy.checkpoint))
     lines = [_headline(view), "", *_graph(view)]
     for role in range(2):
         lines += ["", *_drive(view, role)]
-        if view.driven[:, role].any() and view.inferred_edges:
+        if role in driven:
+            lines += _why([effect for effect in effects if effect.receiver == role]) if not remark else [f"  {remark}"]
+        if role in driven and view.inferred_edges:
             lines += _reasons(view, role, scenario, reward)
-    return "\n".join(lines)
+    return "\n".join(_wrapped(line) for line in lines)
+
+
+def _wrapped(line: str) -> str:
+    indent = " " * (len(line) - len(line.lstrip()))
+    return fill(line, WIDTH, subsequent_indent=indent + "  ", break_long_words=False, break_on_hyphens=False)
+
+
+def _effects(view: EpisodeView, scenario: Scenario, driven: Sequence[int]) -> tuple[list[Effect], str]:
+    """The effects of all reasons; or none, and why there are none."""
+    if not driven:
+        return [], ""
+    try:
+        policy = policy_of(scenario)
+    except (ImportError, InputError) as error:
+        return [], f"Its policy cannot decide again, because it cannot be loaded: {error}"
+    drive = drive_of(view, scenario)
+    if policy is None or len(drive.state) < 2:
+        return [], "The drive is too short to decide again."
+    return effects_of(drive, policy, driven), ""
+
+
+def _why(effects: Sequence[Effect]) -> Iterator[str]:
+    """What the reasons of one vehicle did: on average, and at the moments with the largest effects."""
+    if not effects:
+        yield "  No edge leads to it: nothing that another vehicle does changes its actions."
+        return
+    single = [effect for effect in effects if " and " not in effect.reason]
+    agrees = effects[0].agrees
+    if not agrees.any():
+        yield (
+            "  The policy does not give the recorded accelerations when it decides again, because its sensing or its"
+            " actions were perturbed. So no reasons are given."
+        )
+        return
+    means = ", ".join(f"`{e.reason}` {_signed(e.second[agrees].mean())} m/s²" for e in effects)
+    yield (
+        "  What made it act: mean effect on its acceleration over the drive, compared with driving without it for the"
+        f" last {LOOK_BACK:g} s: {means}."
+    )
+    largest = [float(np.abs(effect.second[agrees]).max()) for effect in effects]
+    for effect, most in zip(effects, largest, strict=True):
+        if most < SMALL:
+            yield f"  `{effect.reason}` did not matter: it changed the acceleration by {most:.2f} m/s² at most."
+    mattered = [effect for effect, most in zip(effects, largest, strict=True) if most >= SMALL]
+    for k in _moments(mattered):
+        yield "  " + _moment(mattered, k)
+    across = max(single, key=lambda effect: float(np.abs(effect.lateral * agrees).max()))
+    k = int(np.abs(across.lateral * agrees).argmax())
+    if abs(across.lateral[k]) >= SMALL:
+        side = "left" if across.lateral[k] > 0 else "right"
+        yield (
+            f"  Across the road: at {across.time[k]:.1f} s `{across.reason}` pulled it to the {side} by"
+            f" {abs(across.lateral[k]):.1f} m/s²."
+        )
+    if not agrees.all():
+        yield (
+            f"  At {int((~agrees).sum())} of {len(agrees)} instants the policy does not give the recorded acceleration"
+            f" again (difference above {AGREES:g} m/s²: perturbed sensing or control); they are left out."
+        )
+
+
+def _moments(effects: Sequence[Effect]) -> list[int]:
+    """Instants in order: the hardest braking, and the largest effect of each reason; at least `APART` from another."""
+    if not effects:
+        return []
+    agrees, time = effects[0].agrees, effects[0].time
+    wanted = [int(np.where(agrees, effects[0].acceleration, np.inf).argmin())]
+    wanted += [int((np.abs(effect.second) * agrees).argmax()) for effect in effects]
+    chosen: list[int] = []
+    for k in wanted:
+        if agrees[k] and all(abs(time[k] - time[other]) >= APART for other in chosen):
+            chosen.append(k)
+    return sorted(chosen)
+
+
+def _moment(effects: Sequence[Effect], k: int) -> str:
+    """What the vehicle did at instant k, and what it would have done without each reason."""
+    now = float(effects[0].acceleration[k])
+    parts = [f"At {effects[0].time[k]:.1f} s it {_did(now)}."]
+    for effect in effects:
+        change, decision = float(effect.second[k]), float(effect.decision[k])
+        if abs(change) < SMALL:
+            parts.append(f"Without `{effect.reason}` it would have done the same.")
+        else:
+            what = "edges" if " and " in effect.reason else "vehicle" if "vehicle" in effect.reason else "edge"
+            parts.append(
+                f"Without `{effect.reason}` it would have {_did(now - change)}: the {what}"
+                f" {'took' if change < 0 else 'added'} {abs(change):.1f} m/s²"
+                f" ({_signed(decision)} m/s² in the last decision)."
+            )
+    return " ".join(parts)
+
+
+def _did(acceleration: float) -> str:
+    if abs(acceleration) < SMALL:
+        return "kept its speed"
+    return f"{'braked' if acceleration < 0 else 'accelerated'} at {_signed(acceleration)} m/s²"
+
+
+def _signed(value: float) -> str:
+    return f"{value:+.1f}".replace("-", "−") if abs(value) >= SMALL else "0.0"
 
 
 def _headline(view: EpisodeView) -> str:
     names = ", ".join(f"{vehicle} ({role})" for role, vehicle in enumerate(view.ids))
     ended = str(view.group["ending"]).replace("_", " ")
     return (
-        f"Episode {view.number}: {view.driver} drives a group of the vehicles {names}. Take-over at"
+        f"Episode {view.number}: {driver_name(view.driver)} drives a group of the vehicles {names}. Take-over at"
         f" {view.takeover_time:.1f} s; driven for {view.group['drive_duration']:.1f} s; ended by: {ended}."
     )
 
@@ -91,7 +202,10 @@ def _headline(view: EpisodeView) -> str:
 def _graph(view: EpisodeView) -> list[str]:
     """Every relation that the policy inferred at the take-over, and every later change."""
     if not view.inferred_edges:
-        return [f"{view.driver} does not infer a graph."]
+        return [
+            f"{driver_name(view.driver)} does not infer a graph. The effect of a vehicle is found by moving it"
+            f" {FAR:g} m ahead."
+        ]
     at_first = _at_takeover(view)
     lines = [
         f"{view.ids[e.receiver]} ({e.receiver}) {VERBS.get(e.type, e.type)} {view.ids[e.sender]} ({e.sender})"
@@ -139,19 +253,19 @@ def _drive(view: EpisodeView, role: int) -> list[str]:
 def _reasons(view: EpisodeView, role: int, scenario: Scenario, reward: StructuredReward | None) -> list[str]:
     """The largest reward terms of one vehicle (at least 5 % of its cost), and when they were largest."""
     if reward is None:
-        return ["  Its checkpoint has no reward, so there are no reward terms to explain the drive."]
+        return ["  Its checkpoint has no reward, so there are no reward terms to show."]
     terms = sorted(terms_of(view, role, scenario, reward), key=lambda term: -term.cost.mean())
     total = sum(float(term.cost.mean()) for term in terms)
     if total < 1e-9:
         return ["  All terms of its reward are zero during the drive."]
-    time = view.time[_driven_steps(view)] - view.takeover_time
-    lines = []
+    time = view.time[view.during_drive] - view.takeover_time
+    lines = ["  Its reward on this drive, as shares of its cost (terms without unit):"]
     for term in terms:
         mean, peak = float(term.cost.mean()), int(term.cost.argmax())
         if mean >= 0.05 * total:
             lines.append(
-                f"  {100 * mean / total:.0f} % of its cost: {term.meaning} ({term.group} term {term.name}, mean"
-                f" {mean:.3g}, maximum {term.cost[peak]:.3g} after {time[peak]:.1f} s, {term.cost[-1]:.3g} at the end)."
+                f"    {100 * mean / total:.0f} % {term.meaning} ({term.group} term {term.name}, mean {mean:.3g},"
+                f" maximum {term.cost[peak]:.3g} after {time[peak]:.1f} s, {term.cost[-1]:.3g} at the end)."
             )
     return lines
 
@@ -179,26 +293,8 @@ def _at_takeover(view: EpisodeView) -> list[InferredEdge]:
     return [edge for edge in view.inferred_edges if edge.time == first]
 
 
-def _driven_steps(view: EpisodeView) -> np.ndarray:
-    """Rows of the drive except the last one."""
-    return np.flatnonzero(view.during_drive)[:-1]
-
-
 def model_states(view: EpisodeView, scenario: Scenario) -> tuple[Float[Tensor, "3 T D"], Float[Tensor, "3 T A"]]:
-    """States and actions of the T driven steps in the frame of the model (D and A of its dynamics).
-
-    In a merge, the heading is that of the path, and y is relative to the lane of the leader at the take-over.
-    """
-    rows = np.flatnonzero(view.during_drive)
-    s, d, v, a = (view.feature(name)[rows] for name in ("s", "d", "v", "a"))
-    if isinstance(scenario.group, CarFollowing):
-        offset, dynamics = model_offsets(view.length[None])[0], POINT_MASS_1D
-        state = np.stack([s + offset, v, a], -1)
-    else:
-        offset, dynamics = model_offsets(view.length[None], order=(1, 0, 2))[0], DUBINS
-        heading = np.arctan2(np.gradient(d, axis=0), np.maximum(np.gradient(s, axis=0), 1e-6))
-        turn = np.gradient(heading, scenario.step, axis=0)
-        state = np.stack([s + offset, d - d[0, 2], v, heading, a, turn], -1)
-    states = torch.from_numpy(state).float().transpose(0, 1)
-    states[..., 0] -= states[2:, :1, 0].clone()
+    """States and actions of T driven steps in the frame of the model (D and A of its dynamics)."""
+    dynamics = POINT_MASS_1D if isinstance(scenario.group, CarFollowing) else DUBINS
+    states = drive_of(view, scenario).state.transpose(0, 1).float()
     return states[:, :-1], dynamics.inverse(states[:, :-1], states[:, 1:], scenario.step)

@@ -40,7 +40,9 @@ def _pairs(groups: pd.DataFrame) -> Iterator[PairSummary]:
 
 def drawing(pairs: dict[tuple[int, int], PairSummary]) -> str:
     """SVG of the most frequent graph: an arrow from sender to receiver, labelled with the reaction of the receiver."""
-    parts = ['<svg viewBox="0 0 190 175" width="220" role="img" aria-label="inferred graph">']
+    found = ", ".join(f"{p.receiver} {p.type.replace('_', ' ')} {p.sender}" for p in pairs.values() if p.type != "none")
+    about = escape(f"most frequent inferred graph: {found or 'no relation'}", quote=True)
+    parts = [f'<svg viewBox="0 0 190 175" width="220" role="img" aria-label="{about}">']
     for pair in pairs.values():
         if pair.type != "none":
             parts.append(_arrow(pair))

@@ -183,6 +183,11 @@ def tag_of(choice: GroupRule | Driver | Perturbation) -> str:
     return str(choice.__struct_config__.tag)
 
 
+def policy_name(choice: Driver) -> str:
+    """The name of a policy before it is loaded: its kind; for an own policy, the class or function in its file."""
+    return choice.object.rpartition(":")[2] if isinstance(choice, UserPolicy) else tag_of(choice)
+
+
 class Scenario(Spec, frozen=True, kw_only=True):
     """One closed-loop experiment. Durations in s; `traffic` may be the name or path of a traffic file.
 
@@ -190,9 +195,10 @@ class Scenario(Spec, frozen=True, kw_only=True):
     at the take-over, and again every `reinfer_s` from the latest states if this is not 0. A simulation step lasts
     `step`, and the history before the take-over `history`. The policy drives for up to `horizon`; then the group is
     observed for `watch`, and the next groups are taken over after a further `rest`. A run ends after `episodes` groups,
-    of which at most `groups_at_once` are driven at the same time, or `time_limit` after the warm-up. With
-    `surroundings` the run has a table of the vehicles around the groups. A batch leaves it out unless its `overrides`
-    say true. A run is refused if it may need more than `max_work` times the usual limits of steps, vehicles and memory.
+    however their drives end, or `time_limit` after the warm-up; at most `groups_at_once` are driven at the same time.
+    With `surroundings` the run has a table of the vehicles around the groups. A batch leaves it out unless its
+    `overrides` say true. A run is refused if it may need more than `max_work` times the usual limits of steps, vehicles
+    and memory.
     """
 
     description: Text = ""

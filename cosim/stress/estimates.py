@@ -23,18 +23,28 @@ def _capped(column: str, cap: float = np.inf, sign: int = 1) -> Callable[[pd.Dat
     return lambda rows: sign * rows[column].astype(float).clip(upper=cap)
 
 
+def _min_distance(rows: pd.DataFrame) -> pd.Series:
+    """Least distance between boxes, which tables of version 0.1 call `min_gap`."""
+    return _capped("min_distance" if "min_distance" in rows else "min_gap", GAP_CAP)(rows)
+
+
+def _brakes_hard(rows: pd.DataFrame) -> pd.Series:
+    """Whether a driven vehicle brakes harder than 3 m/s²; tables of version 0.1 only tell about 4.5 m/s²."""
+    return rows["brakings_3" if "brakings_3" in rows else "hard_brakings"] > 0
+
+
 MEASURES = (
     *OUTCOME,
     Measure("min_ttc", "minimum TTC", "s", _capped("min_ttc", TIME_CAP), median=True),
     Measure("short_ttc", f"TTC < {SHORT_TTC:g} s", "share", lambda g: g["min_ttc"] < SHORT_TTC, share=True, better=-1),
     Measure("max_drac", "maximum DRAC", "m/s²", _capped("max_drac", DECELERATION_CAP), median=True, better=-1),
     Measure("min_pet", "minimum PET", "s", _capped("min_pet", TIME_CAP), median=True),
-    Measure("min_gap", "minimum gap", "m", _capped("min_gap", GAP_CAP), median=True),
+    Measure("min_gap", "minimum gap", "m", _min_distance, median=True),
     Measure("min_headway", "minimum time headway", "s", _capped("min_headway", TIME_CAP), median=True),
     Measure("jerk_50", "|jerk|, median", "m/s³", _capped("jerk_50"), median=True, better=-1),
     Measure("jerk_95", "|jerk|, 95th percentile", "m/s³", _capped("jerk_95"), median=True, better=-1),
     Measure("jerk_99", "|jerk|, 99th percentile", "m/s³", _capped("jerk_99"), median=True, better=-1),
-    Measure("hard_brake", "hard braking", "share", lambda g: g["hard_brakings"] > 0, share=True, better=-1),
+    Measure("hard_brake", "hard braking", "share", _brakes_hard, share=True, better=-1),
     Measure("lateral_change", "Δy", "m", _capped("lateral_change"), better=-1),
     Measure(
         "follower_braking",

@@ -65,7 +65,8 @@ def with_cause(episode: Episode, members: Sequence[str], takeover: Snapshot, tra
         case Ending.LOST:
             roles = {role for role, vehicle in enumerate(members) if vehicle not in now.row_of}
         case Ending.LANE_LEFT:
-            roles = {role for role in keeping if _sideways(members[role], before, now) > SAME_LANE}
+            jumped = {role for role in keeping if _sideways(members[role], before, now) > SAME_LANE}
+            roles = jumped or {role for role in keeping if _sideways(members[role], takeover, now) > SAME_LANE}
         case Ending.CUT_IN:
             keepers = {role: members[role] for role in keeping}
             between = _between(keepers, takeover.d[takeover.row_of[episode.group.ids[1]]], now)

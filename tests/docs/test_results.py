@@ -6,6 +6,8 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from cosim.world.outcome_columns import with_outcome_columns
+
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 IMAGE = re.compile(r"!\[([^\]]*)\]\(([^()\s]+)\)")
@@ -69,3 +71,31 @@ def test_the_table_of_a_stress_page_is_what_the_rows_say(name):
             found = rows[(rows["perturbation"] == kind) & graded & (rows["policy"] == policy)]
             completed, contact = found["ending"].isin(["merged", "horizon"]), found["contact"].astype(bool)
             assert cell == f"{100 * completed.mean():.0f} ({100 * contact.mean():.0f})", f"{label}, {policy}"
+
+
+@pytest.mark.parametrize("name", STRESS)
+def test_every_outcome_of_a_stress_page_is_what_the_rows_say(name):
+    """All cells "completed without contact", "contact" and "order kept" of stress.md, and its tables' widths."""
+    folder = DOCS / f"results/{name}"
+    rows = with_outcome_columns(pd.read_parquet(folder / "episodes.parquet"))
+    rows = rows[rows["infeasible"] == ""]
+    sections = re.split(r"^## ", (folder / "stress.md").read_text(), flags=re.MULTILINE)[1:]
+    checked = 0
+    for section in sections:
+        kind = section.splitlines()[0]
+        outcome = section.partition("### Outcome")[2].partition("### ")[0]
+        for line in (line for line in outcome.splitlines() if line.startswith("|")):
+            cells = [cell.strip() for cell in re.split(r"(?<!\\)\|", line)[1:-1]]
+            assert len(cells) == 8
+            if cells[0] in ("intensity", "---"):
+                continue
+            undisturbed = cells[0] == "nominal"
+            same = rows["intensity"].isna() if undisturbed else rows["intensity"] == float(cells[0])
+            part = rows[same & (rows["perturbation"] == ("nominal" if undisturbed else kind))]
+            part = part[part["policy"] == cells[1]]
+            facts = ("completed_without_contact", "contact", "order_kept")
+            assert cells[2] == str(len(part))
+            wanted = [f"{100 * part[fact].astype(bool).mean():.0f}" if len(part) else "-" for fact in facts]
+            assert [cell.split()[0] for cell in cells[3:6]] == wanted, line
+            checked += 1
+    assert checked > 50

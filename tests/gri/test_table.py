@@ -79,7 +79,7 @@ def test_a_narrow_table_stays_as_it_is():
 def test_pipes_and_line_breaks_do_not_break_markdown():
     assert markdown_table(["|jerk|", "b"], [["1", "x\ny"]]) == "| \\|jerk\\| | b |\n| --- | --- |\n| 1 | x<br>y |\n"
     text = markdown_text(wide(1))
-    assert text.startswith("**A title**\n\n| policy |")
+    assert text.startswith("**A title**\n\n| intensity | policy |")
     assert text.endswith("\n\nA note.\n")
 
 

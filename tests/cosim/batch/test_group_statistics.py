@@ -95,6 +95,14 @@ def test_clusters_are_seeds_if_there_are_enough():
     assert "only 5 seeds" in group_statistics.cluster_note(few)
 
 
+def test_the_mean_of_a_share_has_an_interval_inside_0_and_1():
+    """Shares of time of three starts: the t-interval alone would reach above 100 %."""
+    starts = pd.DataFrame([row("x", "x", f"a{k}", jerk_within_3=share) for k, share in enumerate((1.0, 1.0, 0.8))])
+    found = group_statistics.BY_NAME["jerk_within_3"].estimate(starts)
+    assert (found.value, found.high) == (pytest.approx(14 / 15), 1.0)
+    assert found.low == pytest.approx(14 / 15 - 4.3027 / 15, abs=1e-4)
+
+
 def test_differences_are_corrected_for_the_number_of_measures():
     starts = [row(p, p, f"a{k}", mean_speed=10.0 + (p == "y") * (1 + k)) for p in "xy" for k in range(8)]
     tests = group_statistics.differences(pd.DataFrame(starts), "x", "y")

@@ -18,7 +18,10 @@ HEADLINE = BY_NAME["completed_without_contact"]
     ("estimate", "text"),
     [
         (Estimate(0.75, 0.5, 0.9, 8, 8), "75.0\n(50.0,\N{NO-BREAK SPACE}90.0)"),
-        (Estimate(0.75, 0.5, 0.95, 8, 8, most=0.875), "75.0 up to 87.5\n(50.0,\N{NO-BREAK SPACE}95.0)"),
+        (
+            Estimate(0.75, 0.5, 0.95, 8, 8, most=0.875),
+            "75.0\N{NO-BREAK SPACE}up\N{NO-BREAK SPACE}to\N{NO-BREAK SPACE}87.5\n(50.0,\N{NO-BREAK SPACE}95.0)",
+        ),
         (Estimate(0.75, np.nan, np.nan, 8, 1), "75.0"),
         (Estimate(np.nan, np.nan, np.nan, 0, 0), "-"),
     ],

@@ -62,6 +62,13 @@ def test_a_merger_may_jump_to_the_other_lane_but_lag_and_leader_may_not():
     assert merge((200, 190, 220), (-8.0, -0.6, -4.2), before_d=(-8.0, -4.2, -4.2)) is Ending.LANE_LEFT
 
 
+def test_no_merge_is_completed_while_the_lag_vehicle_is_in_the_next_lane():
+    """The target lane reaches from d = −6.0 to −2.4 m. Drifting out of it step by step ends no drive by itself."""
+    assert merge((200, 190, 220), (-4.2, -2.5, -4.2), before_d=(-4.5, -2.6, -4.2)) is Ending.MERGED
+    assert merge((200, 190, 220), (-4.2, -2.3, -4.2), before_d=(-4.5, -2.5, -4.2)) is Ending.LANE_LEFT
+    assert merge((200, 190, 220), (-8.0, -2.3, -4.2), before_d=(-8.0, -2.5, -4.2)) is None
+
+
 def test_car_following():
     chain, broken = snapshot((0, 10, 20), (0, 0, 0)), snapshot((0, 10, 20, 15), (0, 0, 0, 0))
 

@@ -105,7 +105,7 @@ def test_only_a_run_folder_can_be_opened(tmp_path):
 def test_a_policy_may_be_an_object(scenario, tmp_path):
     """Also one of a class that the worker could not import, as in a notebook."""
     run = cosim.run(scenario, Coasting(), folder=tmp_path / "coasting", seed=3)
-    coasting = run.steps.query("driver == 'python' and during_drive and driven")
+    coasting = run.steps.query("driver == 'Coasting' and during_drive and driven")
     assert coasting.groupby(["episode", "role"])["v"].agg(lambda v: v.max() - v.min()).max() < 1e-6
     assert json.loads((run.folder / "scenario.json").read_text())["policy"]["object"].endswith(":Coasting")
     assert run.manifest["inputs"]["policy"]["file"] == "test_run.py"

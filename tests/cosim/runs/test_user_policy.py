@@ -4,7 +4,7 @@ import msgspec
 import pytest
 import torch
 
-from cosim.runs.policy_loading import policy_of
+from cosim.runs.policy_loading import driver_of, policy_of
 from cosim.runs.run import run
 from cosim.spec.input_files import input_files, refuse_foreign_code
 from cosim.spec.loading import load_scenario, override
@@ -64,6 +64,19 @@ def test_a_class_in_a_file_becomes_a_policy(scenario):
     action, _ = policy.act(memory, state)
     assert action.shape == (1, 3, 1)
     assert action[0, 0, 0] == 0.0, "27 m = 7 m + 2 s · 10 m/s: nothing to do"
+
+
+def test_an_own_policy_goes_by_its_own_name(scenario, tmp_path):
+    driver = driver_of(with_object(scenario, "mine.py:TimeGap"))
+    assert driver is not None
+    assert driver.name == "TimeGap"
+    (tmp_path / "mine.py").write_text(POLICY.replace("    dt: float\n", '    dt: float\n    name = "my time gap"\n'))
+    driver = driver_of(with_object(scenario, "mine.py:TimeGap"))
+    assert driver is not None
+    assert driver.name == "my time gap"
+    (tmp_path / "mine.py").write_text(POLICY.replace("    dt: float\n", '    dt: float\n    name = "sumo"\n'))
+    with pytest.raises(InputError, match="got the name 'sumo', which means that no policy drives"):
+        driver_of(with_object(scenario, "mine.py:TimeGap"))
 
 
 def test_its_file_is_an_input_of_the_run(scenario, tmp_path):

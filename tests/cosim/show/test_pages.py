@@ -169,6 +169,19 @@ def test_charts_take_the_text_colour_of_the_page_and_name_their_axes(groups):
     assert "intensity of braking [m/s²]" in svg_charts.curves(groups, "braking", "m/s²", ("completed_without_contact",))
 
 
+def test_charts_have_a_text_alternative_and_lines_that_survive_grey_print(groups):
+    text = svg_charts.curves(groups, "braking", "m/s²", ("contact", "min_gap")) + svg_charts.distributions(
+        groups, ["min_gap", "mean_speed"]
+    )
+    assert text.count("<svg") == text.count('role="img"') == text.count("<title id=") == text.count("<desc id=") == 4
+    named = re.findall(r'aria-labelledby="(\S+) (\S+)"', text)
+    assert len({name for pair in named for name in pair}) == 8, "names are unique in the page"
+    assert all(f'id="{name}"' in text for pair in named for name in pair)
+    assert "Medians: gri " in text
+    assert len({str(style["ls"]) for style in svg_charts.LINES}) == len({s["marker"] for s in svg_charts.LINES}) == 5
+    assert [len(part) for part in svg_charts.parts([f"p{k}" for k in range(8)])] == [5, 4]
+
+
 def test_graphs_are_counted(groups):
     pairs = graph_drawing.pairs_of(groups)
     assert (pairs[1, 0].type, pairs[1, 0].share, pairs[1, 0].probability) == ("follow", 1.0, pytest.approx(0.9))

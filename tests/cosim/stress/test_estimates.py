@@ -1,5 +1,7 @@
 """Estimates, differences, the report and the figures, from rows made by hand."""
 
+import re
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -127,7 +129,7 @@ def test_the_tables_of_the_report_render(rows):
     cells = [line.replace("\\|", "").count("|") for line in text.splitlines() if line.startswith("|")]
     assert cells == [9] * 16, "eight columns in each of three tables"
     assert "\\|jerk\\|, 95th percentile [m/s³]" in text
-    assert "![Measures over the intensity of headway_ratio](figures/headway_ratio.png)" in text
+    assert re.search(r"!\[Six measures over the intensity of headway ratio[^]]*\]\(figures/headway_ratio\.png\)", text)
 
 
 @pytest.mark.parametrize("lane_changes", [False, True])

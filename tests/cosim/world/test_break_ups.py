@@ -48,6 +48,13 @@ def test_a_policy_that_drifts_out_of_its_lane_step_by_step_is_not_hidden_behind_
     assert judged(Ending.CUT_IN, *trace).broken_up_by is BrokenUpBy.OTHERS
 
 
+def test_a_lag_vehicle_that_drifts_out_of_the_target_lane():
+    takeover = snapshot(0.0, a=(10.0, -LANE), b=(0.0, 0.0), c=(40.0, 0.0))
+    trace = [snapshot(0.2 * k, a=(10.0, -LANE), b=(0.0, 0.4 * k), c=(40.0, 0.0)) for k in range(1, 6)]
+    found = judged(Ending.LANE_LEFT, *trace, takeover=takeover, order=MERGE)
+    assert found.broken_up_by is BrokenUpBy.POLICY
+
+
 def test_a_vehicle_that_is_gone():
     assert judged(Ending.LOST, snapshot(0.2, b=(20.0, 0.0), c=(40.0, 0.0))).broken_up_by is BrokenUpBy.POLICY
     assert judged(Ending.LOST, snapshot(0.2, a=(0.0, 0.0), b=(20.0, 0.0))).broken_up_by is BrokenUpBy.OTHERS

@@ -1,5 +1,6 @@
 """The chain from a file in the official layout to a scored model."""
 
+import json
 from pathlib import Path
 
 import pandas as pd
@@ -37,9 +38,13 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_from_an_official_file_to_a_scored_model(here: Path):
     official = "trajectories-0750am-0805am.txt"
-    assert f"Next: gri ngsim scenes {official}" in (report := run("ngsim", "inspect", official))
+    report = run("ngsim", "inspect", official)
+    assert f"Next: gri ngsim scenes {official}" in report
     assert "[m]" in report, "units are no markup"
     assert "[m/s]" in report
+    printed = run("ngsim", "inspect", official, "--format", "json")  # progress is in the output of this runner, too
+    sizes = json.loads(printed[printed.index("\n{") : printed.rindex("}") + 1])["recordings"][0]
+    assert sizes["vehicles"] == len(pd.read_csv(official, sep=r"\s+", header=None)[0].unique())
     assert "Next: gri train ngsim_car_following --ngsim scenes.parquet" in run(
         "ngsim", "scenes", official, "--out", "scenes.parquet"
     )
@@ -47,6 +52,9 @@ def test_from_an_official_file_to_a_scored_model(here: Path):
     scored = run("evaluate", "runs/tiny_recorded-s0.pt", "--scene-file", "scenes.parquet", "--split", "test")
     assert "1 test scenes" in scored
     assert "RMSE_v" in scored
+    for printed in (report, scored):
+        assert all(len(line) <= 80 for line in printed.splitlines())
+        assert "…" not in printed
 
 
 def test_default_options_are_the_rules():

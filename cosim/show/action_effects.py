@@ -1,0 +1,240 @@
+"""Why an action was taken: what the policy would have done without an edge of its graph.
+
+The recorded drive is given to the policy again, step by step. The same decisions come out, which is checked. Then each
+edge is set to none, and the difference in acceleration is the effect of the edge [m/s²]. A policy without a graph is
+asked instead what it would do without a vehicle, which is moved `FAR` ahead.
+
+Begin with `effects_of`.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import groupby
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+from cosim.show.episode_view import EpisodeView, InferredEdge
+from cosim.spec.scenario import CarFollowing, Scenario
+from cosim.world.road_frame import model_offsets
+from gri.core.dynamics import DUBINS, POINT_MASS_1D
+from gri.core.graph import FOLLOWING, LANE_CHANGING, EdgeType, InteractionGraph
+from gri.core.policy import Policy, PolicyState
+from gri.core.trajectory import Trajectory
+
+FAR = 500.0  # [m], how far ahead a vehicle is moved that is to have no effect
+LOOK_BACK = 1.0  # [s], for how long an edge is absent in the second comparison
+AGREES = 0.02  # [m/s²], the largest difference between a recorded acceleration and the one that is computed again
+
+
+@dataclass(frozen=True)
+class Effect:
+    """The effect of one reason on one vehicle at T instants of the drive.
+
+    `reason` is "follow 2" for an edge, "vehicle 2" for a policy without a graph. All accelerations are in m/s².
+    """
+
+    receiver: int
+    reason: str
+    time: Float[np.ndarray, " T"]
+    """Since the take-over [s]."""
+    acceleration: Float[np.ndarray, " T"]
+    """As driven."""
+    decision: Float[np.ndarray, " T"]
+    """What the reason added to it in the last decision."""
+    second: Float[np.ndarray, " T"]
+    """What the reason added to it in the last second: the vehicle drives without the reason, the others as recorded."""
+    lateral: Float[np.ndarray, " T"]
+    """As `second`, of the acceleration across the direction of travel, v·ω; to the left is positive."""
+    agrees: Bool[np.ndarray, " T"]
+    """Whether the policy gives the recorded acceleration when it decides again."""
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What a policy saw in its drive: states of T + 1 instants in the frame of the model, and the graph at each."""
+
+    state: Float[Tensor, "T 3 D"]
+    history: Float[Tensor, "3 H D"]
+    graphs: Sequence[Mapping[tuple[int, int], EdgeType]]
+    """The edges at each instant, without pairs of type none; empty for a policy without a graph."""
+
+
+def drive_of(view: EpisodeView, scenario: Scenario) -> Drive:
+    """The drive of an episode as its policy saw it; x counts from vehicle 2 at the take-over."""
+    rows, in_lane = np.flatnonzero(view.during_drive), isinstance(scenario.group, CarFollowing)
+    states = _model_states(view, in_lane, scenario.step)
+    states[..., 0] -= states[rows[0], 2, 0].clone()
+    last = len(rows) if in_lane else len(rows) - 2  # heading and yaw rate are those between successive positions
+    graphs = (
+        [_edges_at(view.inferred_edges, float(view.time[row])) for row in rows[:last]] if view.inferred_edges else []
+    )
+    return Drive(states[rows[:last]], states[: rows[0] + 1].transpose(0, 1), graphs)
+
+
+def _model_states(view: EpisodeView, in_lane: bool, dt: float) -> Float[Tensor, "T 3 D"]:
+    """States of all recorded instants in double precision, as `cosim.loop.state_layouts` makes them.
+
+    The heading is that of the path: Dubins' car moves by v·Δt along its heading. Vehicles that SUMO drives have no yaw
+    rate.
+    """
+    s, d, v, a = (view.feature(name) for name in ("s", "d", "v", "a"))
+    if in_lane:
+        return torch.from_numpy(np.stack([s + model_offsets(view.length[None])[0], v, a], -1))
+    moved_s, moved_d = (np.diff(value, axis=0, append=value[-1:]) for value in (s, d))
+    heading = np.where(moved_s > 1e-6, np.arctan2(moved_d, np.maximum(moved_s, 1e-6)), 0.0)
+    turned = np.diff(heading, axis=0, append=heading[-1:]) / dt
+    driven = view.driven.any(0) & view.during_drive[:, None]
+    offset, target = model_offsets(view.length[None], order=(1, 0, 2))[0], d[np.argmax(view.during_drive), 2]
+    return torch.from_numpy(np.stack([s + offset, d - target, v, heading, a, np.where(driven, turned, 0.0)], -1))
+
+
+def _edges_at(edges: Sequence[InferredEdge], time: float) -> dict[tuple[int, int], EdgeType]:
+    """The edges in use at a time [s]: those of the latest inference."""
+    latest = max(edge.time for edge in edges if edge.time <= time + 1e-6)
+    now = [edge for edge in edges if edge.time == latest and edge.type != "none"]
+    return {(edge.sender, edge.receiver): EdgeType(edge.type) for edge in now}
+
+
+@torch.inference_mode()
+def effects_of(drive: Drive, policy: Policy, driven: Sequence[int]) -> list[Effect]:
+    """The effects of all edges into driven vehicles, and of all edges into a vehicle together where it has several.
+
+    For a policy without a graph: the effects of all other vehicles.
+    """
+    own = _Replay(policy, drive)
+    memories = own.memories()
+    found = []
+    for receiver in driven:
+        for reason in _reasons(drive, receiver):
+            without = own.without(reason, receiver)
+            found.append(_effect(own, without, memories, reason, receiver))
+    return found
+
+
+Reason = tuple[tuple[int, str], ...]
+"""Sender and type of each edge that is taken away; the type "vehicle" takes the sender itself away."""
+
+
+def _reasons(drive: Drive, receiver: int) -> list[Reason]:
+    if not drive.graphs:
+        return [((sender, "vehicle"),) for sender in range(3) if sender != receiver]
+    edges = dict.fromkeys(
+        (sender, str(kind)) for graph in drive.graphs for (sender, to), kind in graph.items() if to == receiver
+    )
+    together = [tuple(edges)] if len({sender for sender, _ in edges}) > 1 else []
+    return [*((edge,) for edge in edges), *together]
+
+
+@dataclass(frozen=True)
+class _Replay:
+    """A policy that decides again along a drive."""
+
+    policy: Policy
+    drive: Drive
+
+    def memories(self) -> list[PolicyState]:
+        """The policy's memory before each decision, with the graph in use."""
+        history, wanted = self.drive.history, self.policy.history_steps
+        missing = history[:, :1].expand(-1, max(wanted - history.shape[1], 0), -1)  # the graph is recorded anyway
+        history = torch.cat([missing, history], 1)[None, :, -wanted:]
+        memory = self.policy.begin(Trajectory.complete(_relative(history), self.policy.dt))
+        found = []
+        for state, graph in zip(self.drive.state, self._graphs(self.drive.graphs), strict=True):
+            memory = replace(memory, graph=graph)
+            found.append(memory)
+            memory = self.policy.act(memory, _relative(state[None]))[1]
+        return found
+
+    def _graphs(self, edges: Sequence[Mapping[tuple[int, int], EdgeType]]) -> list[InteractionGraph | None]:
+        """One graph object for instants with the same edges, because policies prepare what depends on the graph."""
+        if not edges:
+            return [None] * len(self.drive.state)
+        graphs: list[InteractionGraph | None] = []
+        for same, part in groupby(edges):
+            graphs += [InteractionGraph.of_edges(same, self._vocabulary)] * len(list(part))
+        return graphs
+
+    @property
+    def _vocabulary(self) -> tuple[EdgeType, ...]:
+        config = getattr(self.policy, "config", None)
+        kinds = FOLLOWING if self.policy.dynamics is POINT_MASS_1D else LANE_CHANGING
+        return kinds if config is None else config.vocabulary
+
+    def without(self, reason: Reason, receiver: int) -> list[InteractionGraph | None]:
+        """The graphs at each instant without the edges of a reason into a vehicle."""
+        absent = {(sender, receiver) for sender, _ in reason}
+        return self._graphs([{p: kind for p, kind in graph.items() if p not in absent} for graph in self.drive.graphs])
+
+    def next(
+        self, memory: PolicyState, state: Float[Tensor, "3 D"], moved: Sequence[int]
+    ) -> tuple[Float[Tensor, "3 D"], PolicyState]:
+        """The states after one decision, in which the vehicles of `moved` are too far away to matter."""
+        seen = state.clone()
+        seen[list(moved), 0] += FAR
+        action, memory = self.policy.act(memory, _relative(seen[None]))
+        dynamics, now = self.policy.dynamics, state[None]
+        after = dynamics.step(now, action.double(), self.policy.dt)
+        return (after if dynamics.stop is None else dynamics.stop(now, after))[0], memory
+
+
+def _effect(
+    own: _Replay, without: Sequence[InteractionGraph | None], memories: Sequence[PolicyState], reason: Reason, j: int
+) -> Effect:
+    """The effect of a reason on vehicle j at every instant after the first decision."""
+    drive, dt = own.drive, own.policy.dt
+    moved = [sender for sender, kind in reason if kind == "vehicle"]
+    a = own.policy.dynamics.index("a")
+    steps, back = len(drive.state) - 1, max(1, round(LOOK_BACK / dt))
+    again = torch.stack([own.next(memories[t], drive.state[t], [])[0][j] for t in range(steps)])
+    once = torch.stack(
+        [own.next(replace(memories[t], graph=without[t]), drive.state[t], moved)[0][j] for t in range(steps)]
+    )
+    longer = torch.stack(
+        [_without_for(own, without, memories, moved, j, max(t + 1 - back, 0), t + 1) for t in range(steps)]
+    )
+    recorded = drive.state[1:, j]
+    return Effect(
+        receiver=j,
+        reason=" and ".join(f"{kind} {sender}" for sender, kind in reason),
+        time=dt * np.arange(1, steps + 1),
+        acceleration=recorded[:, a].numpy(),
+        decision=(again - once)[:, a].numpy(),
+        second=(recorded - longer)[:, a].numpy(),
+        lateral=(_lateral(own, recorded) - _lateral(own, longer)).numpy(),
+        agrees=((again - recorded)[:, a].abs() < AGREES).numpy(),
+    )
+
+
+def _without_for(
+    own: _Replay,
+    without: Sequence[InteractionGraph | None],
+    memories: Sequence[PolicyState],
+    moved: Sequence[int],
+    j: int,
+    first: int,
+    last: int,
+) -> Float[Tensor, " D"]:
+    """The state of vehicle j at step `last` if the reason is absent from step `first` on, the others as recorded."""
+    memory, state = memories[first], own.drive.state[first]
+    for t in range(first, last):
+        after, memory = own.next(replace(memory, graph=without[t]), state, moved)
+        state = own.drive.state[t + 1].clone()
+        state[j] = after[j]
+    return state[j]
+
+
+def _lateral(own: _Replay, state: Float[Tensor, "T D"]) -> Float[Tensor, " T"]:
+    """v·ω [m/s²]; zero in one dimension."""
+    if own.policy.dynamics.name is not DUBINS.name:
+        return torch.zeros(len(state), dtype=state.dtype)
+    return state[:, own.policy.dynamics.speed] * state[:, own.policy.dynamics.index("yaw_rate")]
+
+
+def _relative(state: Float[Tensor, "B 3 *T D"]) -> Float[Tensor, "B 3 *T D"]:
+    """float32 states with x counted from the latest position of vehicle 2, as the loop gives them to policies."""
+    counted = state.clone()
+    counted[..., 0] -= state[:, 2:3, 0] if state.ndim == 3 else state[:, 2:3, -1:, 0]
+    return counted.float()
