@@ -5,7 +5,7 @@ import sys
 import time
 from pathlib import Path
 from textwrap import fill
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import msgspec
 import typer
@@ -35,6 +35,7 @@ from gri.terminal import (
 # Without a markup mode the help is plain text: units in square brackets, such as [s], would vanish as Rich markup.
 
 INDENT = "      "
+EMPTY_GRAPH = {"source": "enforced", "edges": {}, "others": "none"}  # for comparison: nobody reacts to anybody
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 
 
@@ -57,8 +58,11 @@ def cosim(
 def run(
     scenario: ScenarioArgument,
     baseline: Annotated[
-        Literal["sumo", "idm", "constant-velocity"] | None,
-        typer.Option(help="Drive the same groups with a baseline instead of the scenario's policy."),
+        Literal["sumo", "idm", "constant-velocity", "empty-graph"] | None,
+        typer.Option(
+            help="Drive the same groups with a baseline instead of the scenario's policy; empty-graph: with that"
+            " policy, but without any relation."
+        ),
     ] = None,
     seed: SeedOption = None,
     episodes: Annotated[int | None, typer.Option(help="Number of episodes to use instead of the scenario's.")] = None,
@@ -85,15 +89,18 @@ def run(
     from cosim.runs.run import run as run_scenario
     from cosim.runs.summary import summary_table
 
+    changes: dict[str, Any] = {} if max_work is None else {"max_work": max_work}
+    if baseline == "empty-graph":
+        changes["graph"] = EMPTY_GRAPH
     began = time.monotonic()
     with ProgressDisplay() as progress:
         done = run_scenario(
             scenario,
-            baseline,
+            None if baseline == "empty-graph" else baseline,
             seed=seed,
             episodes=episodes,
             recording=recording,
-            overrides={} if max_work is None else {"max_work": max_work},
+            overrides=changes,
             folder=out,
             allow_code=allow_code,
             progress=progress,

@@ -412,7 +412,11 @@ def _stress_options(path: Path) -> Any:
 
 
 def _stress() -> tuple[bytes, ...]:
-    return (b"headway_ratio|0.2,0.4|idm,gri", b"latency|0.2|sumo", b"observation_noise,dropout||us101_car_following")
+    return (
+        b"headway_ratio|0.2,0.4|idm,gri",
+        b"perception_latency|0.2|sumo",
+        b"observation_noise,dropout||us101_car_following",
+    )
 
 
 DOORS = (

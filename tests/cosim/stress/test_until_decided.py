@@ -54,7 +54,7 @@ def play(monkeypatch, short_scenario):
         def run(parts, folder, workers, tell):
             seeds = [chunk.scenario.seed for chunk in parts]
             tell("starts", 2 * len(seeds), 2 * len(seeds))
-            return rows_of(seeds, good), Computation(0.0, [])
+            return rows_of(seeds, good), Computation(0.0, [], pd.DataFrame())
 
         monkeypatch.setattr(until_decided, "run_stress", run)
         told = []
