@@ -123,7 +123,7 @@ def test_the_analysis_of_the_tutorial_is_right(done):
     """`read.py` against the tables of the single runs. No group left to SUMO is among those of a policy."""
     path, printed = done
     groups, counterparts = (batch_groups(path, name) for name in ("groups", "counterparts"))
-    assert set(groups["driver"]) == {"python", "idm"}
+    assert set(groups["driver"]) == {"TimeGap", "idm"}, "an own policy goes by its own name"
     medians = groups.groupby(["policy", "perturbation", "intensity"], dropna=False)["min_gap"].median()
     by_sumo = counterparts.drop_duplicates(START)["min_gap"].median()
     printed_lines = printed["python read.py"].splitlines()

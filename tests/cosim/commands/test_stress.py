@@ -34,7 +34,8 @@ def test_a_stress_test_ends_with_tables_and_figures_and_goes_on_where_it_stopped
     names = {path.name for path in (folder / "out").iterdir()}
     assert names == {
         "chunks", "figures", "stress.md", "stress.json",
-        "episodes.parquet", "counts.parquet", "estimates.parquet", "differences.parquet",
+        "episodes.parquet", "counts.parquet", "estimates.parquet", "differences.parquet", "effects.parquet",
+        "counts.csv", "estimates.csv", "differences.csv", "effects.csv",
     }  # fmt: skip
     assert {path.name for path in (folder / "out/figures").iterdir()} == {"headway_ratio.png", "headway_ratio.svg"}
     rows = pd.read_parquet(folder / "out/episodes.parquet")
