@@ -63,8 +63,11 @@ def unbounded_numbers(content: Any) -> Iterator[tuple[tuple[str, ...], float]]:
 
 
 def located(path: Path | str, fields: Sequence[str], problem: str) -> InputError:
-    """The error for a problem with a field of a YAML file: `file:line: field a.b[0]: problem`."""
-    line = _line(list(fields), Path(path))
+    """The error for a problem with a field of a YAML file: `file:line: field a.b[0]: problem`.
+
+    `path` may also be what gave the field instead of a file, such as `--set`.
+    """
+    line = _line(list(fields), Path(path)) if Path(path).exists() else None
     name = ".".join(fields).replace(".[", "[")
     return InputError(f"{path}{f':{line}' if line else ''}: {f'field {name}: ' if name else ''}{problem}")
 

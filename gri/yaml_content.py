@@ -29,19 +29,23 @@ def read_content(path: Path) -> tuple[Any, yaml.Node | None]:
 
     Raises `InputError` with file and line if the file cannot be read, is not valid YAML, or breaks a bound.
     """
-    text = _text(path)
+    return content_of(_text(path), path)
+
+
+def content_of(text: str, source: Path | str) -> tuple[Any, yaml.Node | None]:
+    """The content of a YAML text and its tree of nodes. Raises `InputError`, which names `source` and the line."""
     loader = None
     try:
         loader = _Loader(text)
         tree = loader.get_single_node()
         return (None if tree is None else loader.construct_document(tree)), tree
     except _Refusal as error:
-        raise InputError(f"{path}:{error.line}: {error}") from None
+        raise InputError(f"{source}:{error.line}: {error}") from None
     except Exception as error:  # of the many that PyYAML raises for the many ways in which a file can be wrong
         mark = getattr(error, "problem_mark", None)
         where = f":{mark.line + 1}" if mark else ""
         reason = " ".join(str(getattr(error, "problem", None) or error).split())[:200]
-        raise InputError(f"{path}{where}: not valid YAML ({reason}); correct it") from None
+        raise InputError(f"{source}{where}: not valid YAML ({reason}); correct it") from None
 
 
 def _text(path: Path) -> str:

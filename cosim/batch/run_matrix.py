@@ -17,12 +17,12 @@ from cosim.batch.spec import NOMINAL, PLAIN, Batch, ExtraRun, Sweep
 from cosim.spec.input_files import input_files, refuse_foreign_code, sha256
 from cosim.spec.loading import files_beside, find_file, load_scenario, traffic_content
 from cosim.spec.scenario import MAX_WORK, Driver, Scenario, policy_name
+from cosim.spec.settings import overlay
 from gri.config import checked, located, parsed, typed
 from gri.errors import InputError
 
 FORMAT = 2  # of the results of a run; with a new number every run is repeated
 PACKAGES = ("gri-cosim", "libsumo", "numpy", "torch")  # whose versions a run depends on
-TAGS = ("kind", "rule", "source")  # a mapping with one of these keys replaces another mapping as a whole
 
 
 @dataclass(frozen=True, order=True)
@@ -250,20 +250,9 @@ class _Matrix:
         if isinstance(changes.get("traffic"), str):
             with _naming_field(self._path, (*where, "traffic")):
                 changes = {**changes, "traffic": traffic_content(changes["traffic"], beside=self._path)}
-        content = _overlay(content, changes)
+        content = overlay(content, changes)
         checked(content, Scenario, self._path, under=where)
         return content
-
-
-def _overlay(content: dict[str, Any], changes: Mapping[str, Any]) -> dict[str, Any]:
-    """`content` with `changes` in place: mappings are merged field by field, everything else is replaced."""
-    result = dict(content)
-    for name, value in changes.items():
-        old = result.get(name)
-        if isinstance(old, dict) and isinstance(value, dict) and not any(tag in value for tag in TAGS):
-            value = _overlay(old, value)
-        result[name] = value
-    return result
 
 
 def _exclusions(batch: Batch, path: Path, names: _KnownNames) -> list[dict[str, Any]]:

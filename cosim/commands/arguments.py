@@ -24,6 +24,14 @@ MaxWorkOption = Annotated[
         help="Allow this many times the usual limits of steps, vehicles and memory; default: the scenario's max_work.",
     ),
 ]
+SetOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="FIELD=VALUE",
+        help="Change a field of the scenario, such as group.max_gap=20; the value is written as in YAML; repeatable.",
+    ),
+]
 AllowCodeOption = Annotated[
     bool,
     typer.Option("--allow-code", help="Run policies (kind: python) whose code is outside the folder of the file."),

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
-from cosim.commands.arguments import FEWER_THAN_ASKED, AllowCodeOption, MaxWorkOption
+from cosim.commands.arguments import FEWER_THAN_ASKED, AllowCodeOption, MaxWorkOption, SetOption
 from gri.errors import InputError
 from gri.terminal import FormatOption, ProgressDisplay, next_command, notice, say, show_tables
 
@@ -30,6 +30,7 @@ def batch(
     address: Annotated[str | None, typer.Option(help="Address of the Ray cluster; default: one started here.")] = None,
     only: Annotated[list[str] | None, typer.Option(help="Run only the run with this id; repeatable.")] = None,
     retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Run again what has failed.")] = False,
+    settings: SetOption = None,
     max_work: MaxWorkOption = None,
     allow_code: AllowCodeOption = False,
 ) -> None:
@@ -38,9 +39,14 @@ def batch(
     The same command continues a batch that was stopped. The exit code is 3 if all
     runs finished, some with fewer groups than asked for.
     """
+    from msgspec.structs import replace
+
     from cosim.batch.run_matrix import expand, load_batch, refuse_foreign_code_of
+    from cosim.spec.settings import overlay, settings_of
 
     spec, path = load_batch(file)
+    if settings:
+        spec = replace(spec, overrides=overlay(spec.overrides, settings_of(settings)))
     runs = _chosen(expand(spec, path, max_work), only or [])
     if dry_run:
         for run in runs:

@@ -10,7 +10,14 @@ from typing import Annotated, Any, Literal
 import msgspec
 import typer
 
-from cosim.commands.arguments import FEWER_THAN_ASKED, AllowCodeOption, MaxWorkOption, ScenarioArgument, SeedOption
+from cosim.commands.arguments import (
+    FEWER_THAN_ASKED,
+    AllowCodeOption,
+    MaxWorkOption,
+    ScenarioArgument,
+    SeedOption,
+    SetOption,
+)
 from cosim.commands.batch import batch, results
 from cosim.commands.new import new
 from cosim.commands.scenes import scenes
@@ -57,6 +64,13 @@ def cosim(
 @app.command()
 def run(
     scenario: ScenarioArgument,
+    policy: Annotated[
+        str | None,
+        typer.Option(
+            help="Policy to use instead of the scenario's: sumo, idm, constant_velocity, the name or path of a"
+            " checkpoint, or file.py:Name of your own."
+        ),
+    ] = None,
     baseline: Annotated[
         Literal["sumo", "idm", "constant-velocity", "empty-graph"] | None,
         typer.Option(
@@ -68,6 +82,7 @@ def run(
     episodes: Annotated[int | None, typer.Option(help="Number of episodes to use instead of the scenario's.")] = None,
     recording: Annotated[Path | None, typer.Option(help="The NGSIM file that the scenario replays.")] = None,
     out: Annotated[Path | None, typer.Option(help="Run folder to write; default: a new one in runs/.")] = None,
+    settings: SetOption = None,
     max_work: MaxWorkOption = None,
     allow_code: AllowCodeOption = False,
     table_format: FormatOption = "table",
@@ -75,16 +90,15 @@ def run(
     """Take groups out of live traffic, drive them, hand them back.
 
     A policy drives every group of vehicles for the horizon of the scenario. The
-    table compares it with the same groups left to SUMO. Other policies than the
-    baselines are named in the scenario file, under `policy`. The exit code is 3 if
-    the traffic had fewer groups than asked for.
+    table compares it with the same groups left to SUMO. The exit code is 3 if the
+    traffic had fewer groups than asked for.
     """
     from cosim.spec.input_files import find_net
     from cosim.spec.loading import load_scenario
 
-    find_net(
-        load_scenario(scenario, max_work=max_work).net
-    )  # a mistake need not wait for torch, which the next imports bring
+    if policy and baseline:
+        raise InputError("--policy and --baseline: both name what drives the groups; give one of them")
+    find_net(load_scenario(scenario, max_work=max_work, settings=settings or ()).net)  # before torch is imported
     from cosim.perturb.effects import shown_effects
     from cosim.runs.run import run as run_scenario
     from cosim.runs.summary import summary_table
@@ -96,11 +110,12 @@ def run(
     with ProgressDisplay() as progress:
         done = run_scenario(
             scenario,
-            None if baseline == "empty-graph" else baseline,
+            policy or (None if baseline == "empty-graph" else baseline),
             seed=seed,
             episodes=episodes,
             recording=recording,
             overrides=changes,
+            settings=settings or (),
             folder=out,
             allow_code=allow_code,
             progress=progress,
@@ -112,7 +127,7 @@ def run(
         ],
         table_format,
         f"{time.monotonic() - began:.0f} s. Tables, manifest and picture: {done.folder}",
-        then=f"cosim report {done.folder}" if baseline else f"cosim run {scenario} --baseline idm",
+        then=f"cosim report {done.folder}" if baseline or policy else f"cosim run {scenario} --baseline idm",
     )
     for warning in done.warnings():
         notice(f"warning: {warning}")

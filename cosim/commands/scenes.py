@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from cosim.commands.arguments import MaxWorkOption, ScenarioArgument
+from cosim.commands.arguments import MaxWorkOption, ScenarioArgument, SetOption
 from gri.terminal import FormatOption, ProgressDisplay, finite, notice, show_tables
 
 
@@ -60,6 +60,7 @@ def scenes(
     workers: Annotated[
         int | None, typer.Option(min=1, help="Seeds simulated at a time; default: one per core.")
     ] = None,
+    settings: SetOption = None,
     max_work: MaxWorkOption = None,
     table_format: FormatOption = "table",
 ) -> None:
@@ -70,7 +71,8 @@ def scenes(
     from cosim.commands.scene_options import changed, kinds_of, rules_of, with_car_following
     from cosim.spec.loading import load_scenario, override
 
-    seeded = override(load_scenario(scenario, max_work=max_work), {} if seed is None else {"seed": seed})
+    named = load_scenario(scenario, max_work=max_work, settings=settings or ())
+    seeded = override(named, {} if seed is None else {"seed": seed})
     chosen = with_car_following(changed(seeded, scenario, step), car_following)
     rules = rules_of(
         strategic=not any_change, at_most=at_most or [], interaction=interaction, spacing=spacing,

@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from cosim.commands.arguments import MaxWorkOption, ScenarioArgument
+from cosim.commands.arguments import MaxWorkOption, ScenarioArgument, SetOption
 from gri.terminal import ProgressDisplay, console, finite, next_command, notice, say
 
 
@@ -64,6 +64,7 @@ def stress(
     ] = 0.05,
     workers: Annotated[int, typer.Option(min=1, help="Simulations at a time.")] = 2,
     out: Annotated[Path | None, typer.Option(help="Folder of the results; default: runs/stress/SCENARIO.")] = None,
+    settings: SetOption = None,
     max_work: MaxWorkOption = None,
 ) -> None:
     """Compare policies on the same groups under perturbations.
@@ -73,7 +74,8 @@ def stress(
     """
     from cosim.spec.loading import load_scenario
 
-    chosen, grades = load_scenario(scenario, max_work=max_work), _numbers(intensity)  # mistakes need not wait for torch
+    chosen = load_scenario(scenario, max_work=max_work, settings=settings or ())  # mistakes need not wait for torch
+    grades = _numbers(intensity)
     from cosim.stress.plan import chunks, policies_of, senseless, sweeps_of
 
     sweeps = sweeps_of(_words(perturbation), grades, chosen, levels)

@@ -8,7 +8,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cosim.commands.arguments import DurationOption, MaxWorkOption, ScenarioArgument, SeedOption, WorkersOption
+from cosim.commands.arguments import (
+    DurationOption,
+    MaxWorkOption,
+    ScenarioArgument,
+    SeedOption,
+    SetOption,
+    WorkersOption,
+)
 from gri.errors import InputError
 from gri.terminal import FormatOption, ProgressDisplay, ShowProgress, finite, show_tables
 
@@ -29,6 +36,7 @@ def traffic(
     seed: SeedOption = None,
     seeds: Annotated[int, typer.Option(min=1, help="Number of seeds, counted up from the scenario's.")] = 1,
     duration: DurationOption = 600,
+    settings: SetOption = None,
     max_work: MaxWorkOption = None,
     table_format: FormatOption = "table",
 ) -> None:
@@ -39,10 +47,8 @@ def traffic(
     """
     from cosim.spec.loading import load_scenario, override
 
-    chosen = [
-        override(_simulated(load_scenario(name, max_work=max_work), name), {} if seed is None else {"seed": seed})
-        for name in scenarios or SITES
-    ]
+    named = [(load_scenario(name, max_work=max_work, settings=settings or ()), name) for name in scenarios or SITES]
+    chosen = [override(_simulated(*one), {} if seed is None else {"seed": seed}) for one in named]
     tables = []
     for name, scenario in zip(scenarios or SITES, chosen, strict=True):
         variants = [override(scenario, {"seed": scenario.seed + k}) for k in range(seeds)]
@@ -75,6 +81,7 @@ def calibrate(
     duration: DurationOption = 900,
     workers: WorkersOption = None,
     out: Annotated[Path | None, typer.Option(help="Folder of the results; default: runs/calibrate/NAME.")] = None,
+    settings: SetOption = None,
     max_work: MaxWorkOption = None,
     table_format: FormatOption = "table",
 ) -> None:
@@ -84,7 +91,9 @@ def calibrate(
     """
     from cosim.spec.loading import load_scenario
 
-    chosen = _with_target(_simulated(load_scenario(scenario, max_work=max_work), scenario), target_speed)
+    chosen = _with_target(
+        _simulated(load_scenario(scenario, max_work=max_work, settings=settings or ()), scenario), target_speed
+    )
     from cosim.studies.calibration import Calibration, calibrate, parameters
     from cosim.studies.traffic_targets import statistics_frame, statistics_table
 
@@ -139,6 +148,7 @@ def realism(
     seed: SeedOption = None,
     duration: DurationOption = 600,
     out: Annotated[Path | None, typer.Option(help="Folder to write; default: a new one in runs/.")] = None,
+    settings: SetOption = None,
     table_format: FormatOption = "table",
 ) -> None:
     """Compare simulated traffic with a recording.
@@ -150,9 +160,11 @@ def realism(
 
     is_run = Path(subject, "steps.parquet").is_file()
     began = time.monotonic()
-    if is_run and (stretch or seed is not None):
-        raise InputError(f"{subject}: --stretch and --seed are for scenarios, and this is a run folder; leave them out")
-    read = _of_run if is_run else lambda name: _of_scenario(name, seed, duration)
+    if is_run and (stretch or settings or seed is not None):
+        raise InputError(
+            f"{subject}: --stretch, --seed and --set are for scenarios, and this is a run folder; leave them out"
+        )
+    read = _of_run if is_run else lambda name: _of_scenario(name, seed, duration, settings or [])
     chosen = _lanes(lanes)
     folder = out or next_folder(Path("runs"), f"{Path(subject).stem}-realism")
     with run_folder(folder) as partial:
@@ -189,10 +201,10 @@ def _of_run(folder: str) -> "pd.DataFrame":
     return run_samples(Path(folder))
 
 
-def _of_scenario(name: str, seed: int | None, duration: float) -> "pd.DataFrame":
+def _of_scenario(name: str, seed: int | None, duration: float, settings: list[str]) -> "pd.DataFrame":
     from cosim.spec.loading import load_scenario, override
 
-    scenario = override(load_scenario(name), {} if seed is None else {"seed": seed})
+    scenario = override(load_scenario(name, settings=settings), {} if seed is None else {"seed": seed})
     with ProgressDisplay() as progress:
         found = _survey(scenario, duration, progress, "traffic")
     from cosim.studies.traffic_samples import with_headways

@@ -1,7 +1,7 @@
 """The Python door to closed-loop runs: `run` runs a scenario, `open_run` reads a finished run, both return a `Run`."""
 
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from html import escape
@@ -20,8 +20,9 @@ from cosim.runs.summary import summary
 from cosim.runs.surroundings_table import read_surroundings
 from cosim.runs.user_policy import own_name, unfit
 from cosim.spec.input_files import refuse_foreign_code
-from cosim.spec.loading import find_file, load_scenario, override, with_recording
+from cosim.spec.loading import changed, find_file, load_scenario, override, with_recording
 from cosim.spec.scenario import Scenario, UserPolicy, policy_name
+from cosim.spec.settings import settings_of
 from cosim.world.group_search import why_not_more
 from gri.errors import InputError
 from gri.resources import checkpoints
@@ -136,6 +137,7 @@ def run(
     episodes: int | None = None,
     recording: str | Path | None = None,
     overrides: Mapping[str, Any] | None = None,
+    settings: Sequence[str] = (),
     folder: str | Path | None = None,
     allow_code: bool = False,
     progress: Progress | None = None,
@@ -154,6 +156,7 @@ def run(
         episodes: replaces the scenario's number of episodes.
         recording: the NGSIM file to replay, for scenarios with a recorded background.
         overrides: other top-level fields of the scenario to replace, such as `{"horizon": 4.0}`.
+        settings: changes of single fields at any depth, such as `["group.max_gap=20"]`; values are written as in YAML.
         folder: where to write the run; by default a new folder in `runs/`.
         allow_code: whether to run a policy (`kind: python`) that a scenario file names outside its own folder. Code
             that `policy` names runs in any case.
@@ -170,7 +173,10 @@ def run(
         >>> done.figure()
     """
     allowed = (overrides or {}).get("max_work")
-    chosen = scenario if isinstance(scenario, Scenario) else load_scenario(str(scenario), max_work=allowed)
+    if isinstance(scenario, Scenario):
+        chosen = changed(scenario, settings_of(settings)) if settings else scenario
+    else:
+        chosen = load_scenario(str(scenario), max_work=allowed, settings=settings)
     spec, own = _policy(policy)
     if spec is None and isinstance(chosen.policy, UserPolicy) and not isinstance(scenario, Scenario):
         file = find_file(str(scenario), "scenarios", "scenario")

@@ -2,7 +2,7 @@
 
 import difflib
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -11,19 +11,26 @@ import msgspec
 from cosim.spec.demand import Traffic
 from cosim.spec.perturbations import RENAMED
 from cosim.spec.scenario import Replay, Scenario
+from cosim.spec.settings import OPTION, overlay, settings_of
 from cosim.spec.sumo_configuration import read_configuration
 from gri.config import located, parsed, read_yaml, typed, unbounded_numbers
 from gri.errors import InputError
 from gri.resources import is_file, shipped
 
 
-def load_scenario(name: str, beside: Path | None = None, *, max_work: float | None = None) -> Scenario:
+def load_scenario(
+    name: str, beside: Path | None = None, *, max_work: float | None = None, settings: Sequence[str] = ()
+) -> Scenario:
     """The scenario of that name (shipped in `scenarios/`) or path; a path may be relative to the folder of `beside`.
 
-    `max_work` takes the place of the scenario's own, which says how much work is allowed.
+    `max_work` takes the place of the scenario's own, which says how much work is allowed. `settings` are changes such
+    as "group.max_gap=20"; files that they name are found in the working folder.
 
     Raises `InputError` with file, line and field of a mistake.
     """
+    changes = settings_of(settings)
+    if isinstance(changes.get("max_work"), int | float) and max_work is None:
+        max_work = changes["max_work"]
     path = find_file(name, "scenarios", "scenario", beside)
     content = parsed(path)
     if isinstance(content, dict) and isinstance(content.get("traffic"), str):
@@ -34,7 +41,21 @@ def load_scenario(name: str, beside: Path | None = None, *, max_work: float | No
         content["max_work"] = max_work
     for k, problem in _renamed_kinds(content):
         raise located(path, ["perturbations", f"[{k}]", "kind"], problem)
-    return typed(_with_net_of_configuration(files_beside(content, path)), Scenario, path)
+    scenario = typed(_with_net_of_configuration(files_beside(content, path)), Scenario, path)
+    return changed(scenario, changes) if changes else scenario
+
+
+def changed(scenario: Scenario, changes: dict[str, Any], option: str = OPTION) -> Scenario:
+    """The scenario with nested fields replaced, such as `{"group": {"max_gap": 20}}`, checked like a file.
+
+    `traffic` may be the name of a traffic file. Raises `InputError`, which names `option` and the field.
+    """
+    if isinstance(changes.get("traffic"), str):
+        changes = {**changes, "traffic": traffic_content(changes["traffic"], beside=Path(option))}
+    content = overlay(msgspec.to_builtins(scenario), changes)
+    for k, problem in _renamed_kinds(content):
+        raise located(option, ["perturbations", f"[{k}]", "kind"], problem)
+    return typed(content, Scenario, option)
 
 
 def files_beside(content: Any, path: Path) -> Any:
