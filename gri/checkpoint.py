@@ -1,10 +1,11 @@
-"""Models as files: a dict of tensors and JSON text, which is read without running code from the file.
+"""Models as files: safetensors with one typed header. Nothing in them is code.
 
 Functions that read take the path of a file or the name of a released checkpoint, such as "us101_merge". They raise
 `InputError` if there is no such file, if it is damaged, or if it does not fit this release
 (docs/decisions/004-checkpoints.md).
 """
 
+import hashlib
 import os
 import tempfile
 import warnings
@@ -15,6 +16,8 @@ from typing import Any
 
 import msgspec
 import torch
+from safetensors import safe_open
+from safetensors.torch import save as packed
 from torch import Tensor
 
 from gri.core.graph import FOLLOWING
@@ -23,8 +26,27 @@ from gri.networks.model import ModelConfig, RelationalModel
 from gri.resources import find_checkpoint
 from gri.rewards.structured import AssumedReward, LaneRewardConfig, NaturalisticConfig, RewardConfig, StructuredReward
 
-FORMAT = "gri-checkpoint"
-VERSION = 1
+FORMAT = "gri-checkpoint"  # the one key of the file's metadata; with several keys its bytes would not repeat
+VERSION = 2
+_MODEL, _REWARD = "model.", "reward."  # what the names of tensors begin with
+_REMAKE = "make it again with `gri train`"
+
+
+class Header(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What a checkpoint says about its tensors: format, configuration, and the layout that it was trained for."""
+
+    version: int
+    sha256: str
+    """Of names, types, shapes and values of all tensors, in alphabetical order."""
+    config: dict[str, Any]
+    dt: float
+    """[s]"""
+    history_steps: int
+    vocabulary: list[str]
+    state: list[str]
+    action: list[str]
+    reward_config: dict[str, Any] | None
+    provenance: dict[str, Any]
 
 
 def save(
@@ -35,38 +57,45 @@ def save(
 ) -> None:
     """Write a model, the reward it was grounded in, and how both were made (any values that JSON can hold).
 
-    The file appears whole or not at all; its folder is made if it is missing.
+    The file appears whole or not at all; its folder is made if it is missing. Equal contents give equal bytes.
     """
     config, dynamics = model.config, model.dynamics
-    _write(
-        Path(path),
-        {
-            "format": FORMAT,
-            "version": VERSION,
-            "config": msgspec.json.encode(config).decode(),
-            "dt": config.dt,
-            "history_steps": config.history_steps,
-            "vocabulary": [str(k) for k in config.vocabulary],
-            "state": list(dynamics.state),
-            "action": list(dynamics.action),
-            "tensors": _tensors(model),
-            "reward_config": msgspec.json.encode(reward.config).decode() if reward else "",
-            "reward_tensors": _tensors(reward) if reward else {},
-            "provenance": msgspec.json.encode(dict(provenance or {})).decode(),
-        },
+    tensors = _tensors(model, _MODEL) | (_tensors(reward, _REWARD) if reward else {})
+    header = Header(
+        version=VERSION,
+        sha256=_digest(tensors),
+        config=msgspec.to_builtins(config),
+        dt=config.dt,
+        history_steps=config.history_steps,
+        vocabulary=[str(k) for k in config.vocabulary],
+        state=list(dynamics.state),
+        action=list(dynamics.action),
+        reward_config=msgspec.to_builtins(reward.config) if reward else None,
+        provenance=msgspec.to_builtins(dict(provenance or {})),
     )
+    _write(Path(path), packed(tensors, {FORMAT: msgspec.json.encode(header).decode()}))
 
 
-def _tensors(module: torch.nn.Module) -> dict[str, Tensor]:
-    return {name: tensor.detach().clone() for name, tensor in module.state_dict().items()}
+def _tensors(module: torch.nn.Module, prefix: str) -> dict[str, Tensor]:
+    return {prefix + name: tensor.detach().clone().contiguous() for name, tensor in module.state_dict().items()}
 
 
-def _write(path: Path, content: dict[str, Any]) -> None:
+def _digest(tensors: Mapping[str, Tensor]) -> str:
+    total = hashlib.sha256()
+    for name, tensor in sorted(tensors.items()):
+        total.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}\n".encode())
+        total.update(tensor.numpy().tobytes())
+    return total.hexdigest()
+
+
+def _write(path: Path, content: bytes) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
     try:
         with os.fdopen(handle, "wb") as file:
-            torch.save(content, file)
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
         os.chmod(temporary, 0o644)
         os.replace(temporary, path)
     except BaseException:
@@ -89,37 +118,35 @@ def load(path: Path | str) -> RelationalModel:
         >>> model.dynamics.state, model.dt, model.history_steps
         >>> model.infer(state)  # the graph; `state` is [groups, vehicles, instants, features]
     """
-    content = _read(path)
+    header, tensors = _read(path)
     with guarded_reading(path, "checkpoint", _REMAKE):
-        config = _decoded(content["config"], ModelConfig, path)
-        _check_shapes(lambda: RelationalModel(config), content["tensors"], path)
+        config = _typed(header.config, ModelConfig, path)
+        _check_shapes(lambda: RelationalModel(config), tensors[_MODEL], path)
         model = RelationalModel(config)
-        _check_layout(content, model, path)
-        model.load_state_dict(content["tensors"])
+        _check_layout(header, model, path)
+        model.load_state_dict(tensors[_MODEL])
         return model.requires_grad_(False).eval()
 
 
 def load_reward(path: Path | str) -> StructuredReward | None:
     """The reward that the model of a checkpoint was grounded in, with fixed weights; None if it has none."""
-    content = _read(path)
+    header, tensors = _read(path)
+    if header.reward_config is None:
+        return None
     with guarded_reading(path, "checkpoint", _REMAKE):
-        if not content["reward_config"]:
-            return None
-        kind = RewardConfig if tuple(content["vocabulary"]) == FOLLOWING else LaneRewardConfig
-        if "type" in msgspec.json.decode(content["reward_config"]):
+        kind = RewardConfig if tuple(header.vocabulary) == FOLLOWING else LaneRewardConfig
+        if "type" in header.reward_config:
             kind = NaturalisticConfig | AssumedReward
-        config = _decoded(content["reward_config"], kind, path)
-        _check_shapes(lambda: StructuredReward(config), content["reward_tensors"], path)
+        config = _typed(header.reward_config, kind, path)
+        _check_shapes(lambda: StructuredReward(config), tensors[_REWARD], path)
         reward = StructuredReward(config)
-        reward.load_state_dict(content["reward_tensors"])
+        reward.load_state_dict(tensors[_REWARD])
         return reward.requires_grad_(False).eval()
 
 
 def provenance(path: Path | str) -> dict[str, Any]:
     """How a checkpoint was made: configuration, seed, versions and scores."""
-    content = _read(path)
-    with guarded_reading(path, "checkpoint", _REMAKE):
-        return msgspec.json.decode(content["provenance"], type=dict[str, Any])
+    return _read(path)[0].provenance
 
 
 def objective(path: Path | str) -> str:
@@ -131,66 +158,61 @@ def objective(path: Path | str) -> str:
     return name.removesuffix("_recorded").removesuffix("_told")
 
 
-_REMAKE = "make it again with `gri train`"
-_FIELDS = {
-    "config": str,
-    "vocabulary": list,
-    "tensors": dict,
-    "reward_config": str,
-    "reward_tensors": dict,
-    "provenance": str,
-}
-
-
-def _read(path: Path | str) -> dict[str, Any]:
+def _read(path: Path | str) -> tuple[Header, dict[str, dict[str, Tensor]]]:
+    """The header of a checkpoint, and its tensors by what they belong to (`_MODEL`, `_REWARD`) and name."""
     path = find_checkpoint(path)
+    tensors: dict[str, dict[str, Tensor]] = {_MODEL: {}, _REWARD: {}}
     with guarded_reading(path, "checkpoint", _REMAKE):
-        with zipfile.ZipFile(path) as archive:
-            sizes = [(member.compress_type, member.file_size) for member in archive.infolist()]
-            packed = any(kind != zipfile.ZIP_STORED for kind, _ in sizes)
-            if packed or sum(size for _, size in sizes) > path.stat().st_size:
-                raise InputError(f"{path}: its content is compressed, which a checkpoint never is; {_REMAKE}")
-            if damaged := archive.testzip():
-                raise InputError(f"{path}: its part {damaged[:60]} is damaged; {_REMAKE}")
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
-        raise InputError(f"{path}: a torch file, but not a {FORMAT}; give a file written by `gri train`")
-    if content.get("version") != VERSION:
-        raise InputError(
-            f"{path}: got format version {content.get('version')}, this release reads {VERSION}; {_REMAKE}"
-        )
-    for field, kind in _FIELDS.items():
-        if not isinstance(content.get(field), kind):
-            raise InputError(f"{path}: its field {field} is missing or no {kind.__name__}; {_REMAKE}")
-    for name, tensor in (content["tensors"] | content["reward_tensors"]).items():
-        right = isinstance(tensor, Tensor) and tensor.layout is torch.strided and tensor.is_contiguous()
-        if not right or not torch.isfinite(tensor).all():
-            raise InputError(f"{path}: its tensor {str(name)[:60]} is not made of finite numbers; {_REMAKE}")
-    return content
+        if zipfile.is_zipfile(path):
+            raise InputError(f"{path}: a file of torch, such as version 0.1 wrote; expected safetensors; {_REMAKE}")
+        with safe_open(path, "pt") as file:
+            header = _header((file.metadata() or {}).get(FORMAT), path)
+            found = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (it is no mapping)
+    for name, tensor in found.items():
+        prefix = next((prefix for prefix in tensors if name.startswith(prefix)), None)
+        if prefix is None or not torch.isfinite(tensor).all():
+            raise InputError(f"{path}: its tensor {name[:60]} is unknown or not made of finite numbers; {_REMAKE}")
+        tensors[prefix][name.removeprefix(prefix)] = tensor
+    if _digest(found) != header.sha256:
+        raise InputError(f"{path}: its tensors are damaged (their SHA-256 differs from that in the header); {_REMAKE}")
+    return header, tensors
+
+
+def _header(text: str | None, path: Path) -> Header:
+    if text is None:
+        raise InputError(f"{path}: a safetensors file, but not a {FORMAT}; give a file written by `gri train`")
+    version = msgspec.json.decode(text, type=dict[str, Any]).get("version")
+    if version != VERSION:
+        raise InputError(f"{path}: got format version {version}, this release reads {VERSION}; {_REMAKE}")
+    return _typed(msgspec.json.decode(text), Header, path)
 
 
 def _check_shapes(make: Callable[[], torch.nn.Module], tensors: Mapping[str, Tensor], path: Path | str) -> None:
     """Compare the tensors with what the configuration wants, before anything of that size is made."""
     with torch.device("meta"), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of layers of size 0, which do not fit either
-        wanted = {name: tuple(tensor.shape) for name, tensor in make().state_dict().items()}
-    got = {name: tuple(tensor.shape) for name, tensor in tensors.items()}
+        wanted = {name: (tuple(tensor.shape), tensor.dtype) for name, tensor in make().state_dict().items()}
+    got = {name: (tuple(tensor.shape), tensor.dtype) for name, tensor in tensors.items()}
     if got != wanted:
         name = next(name for name in [*wanted, *got] if got.get(name) != wanted.get(name))
         raise InputError(
-            f"{path}: tensors do not fit the stored configuration: {name[:60]} has the shape {got.get(name)}, wanted"
-            f" {wanted.get(name)}; {_REMAKE}"
+            f"{path}: tensors do not fit the stored configuration: {name[:60]} is {_said(got.get(name))}, wanted"
+            f" {_said(wanted.get(name))}; {_REMAKE}"
         )
 
 
-def _decoded(text: str, kind: Any, path: Path | str) -> Any:
+def _said(found: tuple[tuple[int, ...], torch.dtype] | None) -> str:
+    return "missing" if found is None else f"{str(found[1]).removeprefix('torch.')} of the shape {found[0]}"
+
+
+def _typed(content: Any, kind: Any, path: Path | str) -> Any:
     try:
-        return msgspec.json.decode(text, type=kind)
-    except msgspec.DecodeError as error:
+        return msgspec.convert(content, kind)
+    except msgspec.ValidationError as error:
         raise InputError(f"{path}: its stored configuration does not fit this release ({error}); {_REMAKE}") from error
 
 
-def _check_layout(content: dict[str, Any], model: RelationalModel, path: Path | str) -> None:
+def _check_layout(header: Header, model: RelationalModel, path: Path | str) -> None:
     """Compare the layout that the file states with the layout that this release derives from its configuration."""
     wanted = {
         "dt": model.config.dt,
@@ -200,5 +222,5 @@ def _check_layout(content: dict[str, Any], model: RelationalModel, path: Path | 
         "action": list(model.dynamics.action),
     }
     for field, value in wanted.items():
-        if content.get(field) != value:
-            raise InputError(f"{path}: got {field} {content.get(field)}, this release wants {value}; {_REMAKE}")
+        if getattr(header, field) != value:
+            raise InputError(f"{path}: got {field} {getattr(header, field)}, this release wants {value}; {_REMAKE}")

@@ -19,7 +19,7 @@ def shipped(*parts: str) -> Path:
 
 def checkpoints() -> list[str]:
     """Names of the released checkpoints, in alphabetical order."""
-    return sorted(path.stem for path in (PACKAGE / "checkpoints").glob("*.pt"))
+    return sorted(path.stem for path in (PACKAGE / "checkpoints").glob("*.safetensors"))
 
 
 def is_file(path: Path) -> bool:
@@ -35,7 +35,7 @@ def find_checkpoint(given: str | Path, field: str = "") -> Path:
 
     Raises `InputError` if there is neither; the message begins with `field`, the field of a YAML file that named it.
     """
-    for path in (Path(given), PACKAGE / "checkpoints" / f"{given}.pt"):
+    for path in (Path(given), PACKAGE / "checkpoints" / f"{given}.safetensors"):
         if is_file(path):
             return path
     where = f"{field}: " if field else ""

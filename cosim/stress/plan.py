@@ -215,7 +215,7 @@ def policies_of(names: Sequence[str], scenario: Scenario) -> dict[str, Driver]:
         known = [candidate for candidate in candidates if _exists(candidate)]
         checkpoint = known[0] if known else name
         checkpoint_path(checkpoint, "--policy")  # raises if there is no such checkpoint
-        found[name.removesuffix(".pt").rpartition("/")[2]] = TrainedPolicy(checkpoint=checkpoint)
+        found[name.removesuffix(".safetensors").rpartition("/")[2]] = TrainedPolicy(checkpoint=checkpoint)
     if len(found) < len(names):
         raise InputError(f"--policy: got {', '.join(names)}, expected each policy once, by different names")
     return found

@@ -52,7 +52,7 @@ def data(
 def train(
     config: ConfigArgument,
     seed: Annotated[int, typer.Option(help="Seed of the initial weights and of the training.")] = 0,
-    out: Annotated[Path | None, typer.Option(help="Checkpoint to write; default: runs/NAME-sSEED.pt.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Checkpoint to write; default: runs/NAME-sSEED.safetensors.")] = None,
     scenes: ScenesOption = SCENES,
     ngsim: Annotated[
         Path | None,
@@ -69,7 +69,7 @@ def train(
     from gri import checkpoint
     from gri.training.train import train as train_model
 
-    path = out or Path("runs") / f"{chosen.name}-s{seed}.pt"
+    path = out or Path("runs") / f"{chosen.name}-s{seed}.safetensors"
     splits = _scenes(chosen, scenes) if ngsim is None else _recorded(chosen, ngsim, scenes)
     with ProgressDisplay() as progress:
         trained = train_model(chosen, splits, seed, progress)

@@ -182,7 +182,7 @@ def std_along_horizon(scenario: Scenario, jobs: Sequence[Job], cache: Path, rows
 def densities(job: Job, cache: Path, scenes_folder: Path, samples: int = 400) -> Figure:
     """F14: kernel density of sampled roll-outs of one test scene, vehicles 1 and 0; the scene itself in blue."""
     scene = scenes_of(job.training.data, scenes_folder).test[:1]
-    model = checkpoint.load(job.folder(cache) / "model.pt")
+    model = checkpoint.load(job.folder(cache) / "model.safetensors")
     sigma = torch.tensor(job.result(cache)["std"]["sigma"])
     states = diagnostics.sampled_states(model, scene, sigma, samples)[:, 0]
     feature = "y" if "y" in job.scenario.features else "v"
@@ -227,7 +227,7 @@ def example(scenario: Scenario, jobs: Sequence[Job], cache: Path) -> Figure:
 def _model_drive(job: Job, cache: Path) -> ood.Drive:
     types = torch.tensor(job.result(cache)["ood_types"])
     return ood.drive_by_policy(
-        checkpoint.load(job.folder(cache) / "model.pt"), types, job.training.data.scene_range.steps
+        checkpoint.load(job.folder(cache) / "model.safetensors"), types, job.training.data.scene_range.steps
     )
 
 

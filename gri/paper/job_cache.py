@@ -1,8 +1,8 @@
 """The cache of jobs: one row of one scenario, trained and tested with one seed. A finished job is never run again.
 
 The name of a job's folder ends in the hash of everything that its result depends on. A changed configuration is
-therefore a new job, and an interrupted run continues where it stopped. A folder holds `model.pt` (not for calibrated
-rows), `made.json` (durations and versions) and `result.json`, which is written last.
+therefore a new job, and an interrupted run continues where it stopped. A folder holds `model.safetensors` (not for
+calibrated rows), `made.json` (durations and versions) and `result.json`, which is written last.
 """
 
 import hashlib

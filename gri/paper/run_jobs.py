@@ -24,7 +24,7 @@ def run(job: Job, cache: Path, scenes_folder: Path) -> str:
     if job.is_done(cache):
         return job.name
     began, folder = time.process_time(), job.folder(cache)
-    model_file = folder / "model.pt"
+    model_file = folder / "model.safetensors"
     splits, measure = _prepare(job, model_file, cache, scenes_folder)
     made: dict[str, Any] = {"seconds": None, "cpu_seconds": None}
     if job.config is not None:

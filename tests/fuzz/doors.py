@@ -28,6 +28,8 @@ import numpy as np
 import pandas as pd
 import torch
 import yaml
+from safetensors import safe_open
+from safetensors.torch import save as as_safetensors
 
 from cosim.batch.run_matrix import expand, load_batch
 from cosim.spec.input_files import find_net
@@ -265,39 +267,37 @@ def packed(rng: random.Random, content: bytes) -> bytes:
     )
 
 
-def pickled(rng: random.Random, content: bytes) -> bytes:
-    """Drop, retype or spoil a field or a tensor of a checkpoint."""
-    values = torch.load(io.BytesIO(content), weights_only=True)
-    name = rng.choice(sorted(values))
-    tensors = values[rng.choice(("tensors", "reward_tensors"))]
-    tensor = rng.choice(sorted(tensors) or [""])
-    odd = rng.choice((None, [], {}, "", "{", "[]", 7, float("nan"), torch.zeros(2), "x" * 1000, 2**70))
-    config = json.loads(values["config"])
+def repacked(rng: random.Random, content: bytes) -> bytes:
+    """Drop, retype or spoil a field or a tensor of a checkpoint; now and then the digest is made to fit again."""
+    with tempfile.NamedTemporaryFile(suffix=".safetensors") as file:
+        Path(file.name).write_bytes(content)
+        with safe_open(file.name, "pt") as opened:
+            header = json.loads(opened.metadata()[checkpoint.FORMAT])
+            tensors = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118 (it is no mapping)
+    name, tensor = rng.choice(sorted(header)), rng.choice(sorted(tensors))
+    odd = rng.choice((None, [], {}, "", "{", "[]", 7, float("nan"), "x" * 1000, 2**70))
+    config = header["config"]
     field = rng.choice(sorted(config))
     rng.choice(
         (
-            lambda: values.pop(name),
-            lambda: values.__setitem__(name, odd),
-            lambda: tensors.pop(tensor, None),
-            lambda: tensors.__setitem__(tensor, odd),
-            lambda: tensors.__setitem__(tensor, tensors.get(tensor, torch.ones(1)) * rng.choice((math.nan, math.inf))),
+            lambda: header.pop(name),
+            lambda: header.__setitem__(name, odd),
+            lambda: tensors.pop(tensor),
+            lambda: tensors.__setitem__(tensor, tensors[tensor] * rng.choice((math.nan, math.inf))),
             lambda: tensors.__setitem__(tensor, torch.zeros(rng.choice((0, 1, 7)))),
-            lambda: tensors.__setitem__("more", torch.zeros(1).expand(10**9)),
+            lambda: tensors.__setitem__("model.more", torch.zeros(1)),
+            lambda: tensors.__setitem__(tensor, tensors[tensor].to(torch.complex64)),
             lambda: config.pop(field),
             lambda: config.__setitem__(field, rng.choice((None, -1, 0, 1e308, 10**12, "x", [], {}))),
             lambda: _deepest(rng, config),
         )
     )()
-    if values.get("config") and isinstance(values["config"], str) and values["config"].startswith("{"):
-        values["config"] = json.dumps(config)
-    out = io.BytesIO()
-    torch.save(values, out)
-    if rng.random() < 0.1:
-        deflated = io.BytesIO()
-        with zipfile.ZipFile(deflated, "w", zipfile.ZIP_DEFLATED) as opened:
-            opened.writestr("archive/data.pkl", b"\0" * 50_000_000)
-        return deflated.getvalue()
-    return out.getvalue()
+    if rng.random() < 0.7 and "sha256" in header:
+        header["sha256"] = checkpoint._digest(tensors)
+    out = as_safetensors(tensors, {checkpoint.FORMAT: json.dumps(header)})
+    if rng.random() < 0.1:  # a header that claims to be far longer than the file
+        return rng.randrange(2**63).to_bytes(8, "little") + out[8:]
+    return out
 
 
 def _deepest(rng: random.Random, config: Any) -> None:
@@ -338,7 +338,8 @@ def _net() -> tuple[bytes, ...]:
 def _checkpoints() -> tuple[bytes, ...]:
     folder = Path(checkpoint.__file__).parent / "checkpoints"
     return tuple(
-        (folder / f"{name}.pt").read_bytes() for name in ("us101_car_following", "us101_car_following_supervised")
+        (folder / f"{name}.safetensors").read_bytes()
+        for name in ("us101_car_following", "us101_car_following_supervised")
     )
 
 
@@ -438,7 +439,7 @@ DOORS = (
     ),
     Door("net", ".net.xml", _net, lambda path: str(find_net(str(path))), (xml, *BYTES)),
     Door("additional file", ".add.xml", _net, without_outputs, (xml, *BYTES)),
-    Door("checkpoint", ".pt", _checkpoints, _read_checkpoint, (pickled, *BYTES)),
+    Door("checkpoint", ".safetensors", _checkpoints, _read_checkpoint, (repacked, *BYTES)),
     Door("scene file", ".parquet", _scenes, _read_scenes, (table, *BYTES)),
     Door("recording", ".txt", _recording, _read_recording, (packed, *BYTES)),
     Door("stress options", ".txt", _stress, _stress_options, BYTES),

@@ -28,8 +28,8 @@ def test_each_command_prints_the_next_one(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.chdir(tmp_path)
     Path("tiny.yaml").write_text(TINY)
     assert "Next: gri train tiny.yaml" in run("data", "tiny.yaml")
-    assert "Next: gri evaluate runs/tiny-s3.pt" in run("train", "tiny.yaml", "--seed", "3")
-    scored = run("evaluate", "runs/tiny-s3.pt")
+    assert "Next: gri evaluate runs/tiny-s3.safetensors" in run("train", "tiny.yaml", "--seed", "3")
+    scored = run("evaluate", "runs/tiny-s3.safetensors")
     assert "RMSE_x" in scored
     assert "2 test scenes" in scored
 

@@ -48,8 +48,10 @@ def test_from_an_official_file_to_a_scored_model(here: Path):
     assert "Next: gri train ngsim_car_following --ngsim scenes.parquet" in run(
         "ngsim", "scenes", official, "--out", "scenes.parquet"
     )
-    assert "Next: gri evaluate runs/tiny_recorded-s0.pt" in run("train", "tiny.yaml", "--ngsim", "scenes.parquet")
-    scored = run("evaluate", "runs/tiny_recorded-s0.pt", "--scene-file", "scenes.parquet", "--split", "test")
+    assert "Next: gri evaluate runs/tiny_recorded-s0.safetensors" in run(
+        "train", "tiny.yaml", "--ngsim", "scenes.parquet"
+    )
+    scored = run("evaluate", "runs/tiny_recorded-s0.safetensors", "--scene-file", "scenes.parquet", "--split", "test")
     assert "1 test scenes" in scored
     assert "RMSE_v" in scored
     for printed in (report, scored):

@@ -37,9 +37,9 @@ def test_an_interrupted_job_continues_and_gives_the_same_file(tmp_path: Path, mo
         with pytest.raises(KeyboardInterrupt):
             run_jobs.run(job, cache, scenes)
     assert not job.is_done(cache)
-    trained = (job.folder(cache) / "model.pt").stat().st_mtime_ns
+    trained = (job.folder(cache) / "model.safetensors").stat().st_mtime_ns
     run_jobs.run(job, cache, scenes)
-    assert (job.folder(cache) / "model.pt").stat().st_mtime_ns == trained
+    assert (job.folder(cache) / "model.safetensors").stat().st_mtime_ns == trained
     first = (job.folder(cache) / "result.json").read_bytes()
     run_jobs.run(job, tmp_path / "afresh", scenes)
     assert (job.folder(tmp_path / "afresh") / "result.json").read_bytes() == first

@@ -89,10 +89,10 @@ def test_the_same_seed_gives_the_same_model(objective: Objective, folder: Path):
 @pytest.mark.parametrize("objective", OBJECTIVES, ids=IDS)
 def test_a_trained_model_survives_its_checkpoint(objective: Objective, folder: Path, tmp_path: Path):
     trained = train(config(objective, TINY), splits(TINY, folder), 0)
-    checkpoint.save(tmp_path / "m.pt", trained.model, trained.reward, trained.provenance)
-    loaded = checkpoint.load(tmp_path / "m.pt")
+    checkpoint.save(tmp_path / "m.safetensors", trained.model, trained.reward, trained.provenance)
+    loaded = checkpoint.load(tmp_path / "m.safetensors")
     assert evaluate(loaded, splits(TINY, folder).test) == evaluate(trained.model, splits(TINY, folder).test)
-    made = checkpoint.provenance(tmp_path / "m.pt")
+    made = checkpoint.provenance(tmp_path / "m.safetensors")
     assert made["seed"] == 0
     assert msgspec.convert(made["config"], TrainConfig) == config(objective, TINY)
 

@@ -68,13 +68,13 @@ OBJECTIVES = {
 @pytest.mark.parametrize("objective", OBJECTIVES.values(), ids=list(OBJECTIVES))
 def test_every_objective_trains_and_survives_its_checkpoint(objective: Objective, splits: Splits, tmp_path: Path):
     trained = train(config(objective), splits, seed=1)
-    checkpoint.save(tmp_path / "m.pt", trained.model, trained.reward, trained.provenance)
-    loaded = checkpoint.load(tmp_path / "m.pt")
+    checkpoint.save(tmp_path / "m.safetensors", trained.model, trained.reward, trained.provenance)
+    loaded = checkpoint.load(tmp_path / "m.safetensors")
     result = evaluate(loaded, splits.test)
     assert result == evaluate(trained.model, splits.test)
     assert set(result.rmse) == {"x", "y", "v"}
     assert set(result.f1) <= {"none", "follow", "yield", "cut_in"}
-    reward = checkpoint.load_reward(tmp_path / "m.pt")
+    reward = checkpoint.load_reward(tmp_path / "m.safetensors")
     if trained.reward is None:
         assert reward is None
     else:

@@ -53,7 +53,7 @@ def test_the_encoder_learns_what_it_is_told():
 
 def test_a_trained_policy_and_its_reward_stay_without_updates(tmp_path: Path):
     torch.manual_seed(0)
-    (trained, its_reward), path = driver(), tmp_path / "driver.pt"
+    (trained, its_reward), path = driver(), tmp_path / "driver.safetensors"
     its_reward.psi["follow"].data += 0.5
     checkpoint.save(path, trained, its_reward)
     (model, reward), data = driver(), scenes()
@@ -66,7 +66,7 @@ def test_a_trained_policy_and_its_reward_stay_without_updates(tmp_path: Path):
 
 
 def test_a_start_of_another_size_or_without_a_reward_is_refused(tmp_path: Path):
-    (model, reward), path = driver(), tmp_path / "driver.pt"
+    (model, reward), path = driver(), tmp_path / "driver.safetensors"
     settings = LabelledEncoderSettings(grounded=GroundedSettings(), start=str(path))
     checkpoint.save(path, driver(hidden=4)[0], reward)
     with pytest.raises(InputError, match="got decoder"):

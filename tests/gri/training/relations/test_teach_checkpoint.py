@@ -28,8 +28,8 @@ def test_reward_and_policy_stay_and_the_file_holds_all(generator: torch.Generato
     taught, made = teach_model(model, known, TINY, 3)
     assert made["seed"] == 3
     assert made["settings"]["updates"] == 20
-    checkpoint.save(tmp_path / "taught.pt", taught, None, {"teaching": made})
-    loaded = checkpoint.load(tmp_path / "taught.pt")
+    checkpoint.save(tmp_path / "taught.safetensors", taught, None, {"teaching": made})
+    loaded = checkpoint.load(tmp_path / "taught.safetensors")
     graph = loaded.infer(known[:5])
     assert torch.equal(graph.logits, taught.infer(known[:5]).logits)
     assert graph.unknown is not None
