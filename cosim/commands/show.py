@@ -22,15 +22,16 @@ def report(
 ) -> None:
     """Show a run as a table and picture, a batch as an HTML file.
 
-    Of a stress test, its tables, figures and Markdown page are written again.
+    Of a stress test, its tables, figures and pages are written again.
     """
     if (folder / "runs").is_dir():
         return _batch_report(folder, out or folder / "report.html")
     if (folder / "stress.json").is_file():
+        from cosim.show.stress_page import write_stress_page
         from cosim.stress.stress_test import publish_again
 
         publish_again(folder)
-        return say(f"Report: {folder / 'stress.md'}")
+        return say(f"Report: {folder / 'stress.md'}, for a browser: {write_stress_page(folder)}")
     from cosim.runs.episode_figure import picture
     from cosim.runs.run_tables import read_tables
     from cosim.runs.summary import summary_table

@@ -83,6 +83,7 @@ def stress(
         for kind, reason in senseless(chosen).items():
             notice(f"left out: {kind}, because {reason}")
     policies = policies_of(_words(policy), chosen)
+    from cosim.show.stress_page import write_stress_page
     from cosim.stress.stress_test import publish, run_stress
     from cosim.stress.until_decided import STARTS_PER_SEED, contest_of, run_until_decided, sentence
 
@@ -107,13 +108,14 @@ def stress(
             }
             facts |= {"starts": starts, "workers": workers}
             written = publish(parts, rows, computation.effects, folder, facts, decided)
+            written.append(write_stress_page(folder))
     except KeyboardInterrupt:
         notice(f"stopped; finished parts are kept in {folder}, the same command continues")
         raise typer.Exit(130) from None
     if decided:
         say(f"{decided}\n")
     console.print(f"{time.monotonic() - began:.0f} s.", *map(str, written), sep="\n  ", soft_wrap=True)
-    say(f"\nReport: {folder / 'stress.md'}; figures: {folder / 'figures'}")
+    say(f"\nReport: {folder / 'stress.md'}; for a browser: {folder / 'stress.html'}")
     next_command(f"python -c \"import pandas; print(pandas.read_parquet('{folder}/estimates.parquet'))\"")
 
 
