@@ -1,6 +1,6 @@
 """Edge types, their vocabularies, and the order of ordered pairs; needs no torch (Sec. IV, VI-C, VI-D).
 
-The E = N(N−1) ordered pairs are in lexicographic order (sender, receiver); see `gri.core.graph`.
+Pairs are in lexicographic order (sender, receiver); see `gri.core.graph`.
 """
 
 from enum import StrEnum
@@ -26,8 +26,12 @@ LANE_CHANGING: Vocabulary = (EdgeType.NONE, EdgeType.FOLLOW, EdgeType.YIELD, Edg
 
 
 def pairs(n: int) -> list[tuple[int, int]]:
-    """All ordered pairs (sender, receiver) of n vehicles, in the order of the edge axis."""
+    """All ordered pairs (sender, receiver) of n vehicles, in the order of the edge axis of a complete graph."""
     return [(i, j) for i in range(n) for j in range(n) if i != j]
+
+
+MOST_COMPLETE = 3
+"""A graph is complete on at most so many vehicles; on more it has candidate pairs only."""
 
 
 def vehicle_count(edges: int) -> int:

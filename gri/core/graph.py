@@ -1,21 +1,23 @@
-"""Interaction graphs: a distribution over edge types for every ordered pair of vehicles (Sec. III-A, IV).
+"""Interaction graphs: a distribution over edge types for each candidate pair of vehicles (Sec. III-A, IV).
 
 `z[i, j]` is the effect of vehicle i (sender) on vehicle j (receiver): with `z[1, 0] = FOLLOW`, vehicle 0 follows
-vehicle 1. The E = N(N−1) ordered pairs are in lexicographic order (sender, receiver).
+vehicle 1. The E candidate pairs are in lexicographic order (sender, receiver). The complete graph on a few vehicles has
+all N(N−1) ordered pairs; for many vehicles `gri.core.candidate_pairs` says which pairs are candidates.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from gri.core.edges import FOLLOWING, LANE_CHANGING, YIELDING, EdgeType, Vocabulary, pairs, vehicle_count
+from gri.core.edges import FOLLOWING, LANE_CHANGING, MOST_COMPLETE, YIELDING, EdgeType, Vocabulary, pairs, vehicle_count
 
 __all__ = [
     "FOLLOWING",
     "LANE_CHANGING",
+    "MOST_COMPLETE",
     "YIELDING",
     "EdgeType",
     "InteractionGraph",
@@ -28,7 +30,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class InteractionGraph:
-    """Distributions over K edge types for E ordered pairs of B groups; the vocabulary gives the meaning of index k."""
+    """Distributions over K edge types for E candidate pairs of B groups; the vocabulary says what index k means."""
 
     logits: Float[Tensor, "B E K"]
     vocabulary: Vocabulary
@@ -36,22 +38,48 @@ class InteractionGraph:
     """How far the history is from all that the model was trained on; above 1 the model does not know such scenes. None:
     the model cannot tell.
     """
+    candidates: tuple[tuple[int, int], ...] | None = None
+    """The candidate pairs (sender, receiver) of each group, in lexicographic order; all other pairs have type none.
+    None: the graph is complete.
+    """
 
     def __post_init__(self) -> None:
         assert self.logits.shape[-1] == len(self.vocabulary), f"{self.logits.shape} does not fit {self.vocabulary}"
+        if self.candidates is not None:
+            assert self.logits.shape[-2] == len(self.candidates), f"{self.logits.shape} does not fit the candidates"
+
+    @property
+    def pairs(self) -> Sequence[tuple[int, int]]:
+        """The candidate pairs (sender, receiver), in the order of the edge axis."""
+        return pairs(vehicle_count(self.logits.shape[-2])) if self.candidates is None else self.candidates
 
     @classmethod
-    def certain(cls, types: Int[Tensor, "B E"], vocabulary: Vocabulary) -> "InteractionGraph":
+    def certain(
+        cls,
+        types: Int[Tensor, "B E"],
+        vocabulary: Vocabulary,
+        candidates: tuple[tuple[int, int], ...] | None = None,
+    ) -> "InteractionGraph":
         """A graph with probability 1 (up to e⁻³⁰) on the given type indices."""
-        return cls((torch.nn.functional.one_hot(types, len(vocabulary)).float() - 1) * 30, vocabulary)
+        logits = (torch.nn.functional.one_hot(types, len(vocabulary)).float() - 1) * 30
+        return cls(logits, vocabulary, candidates=candidates)
 
     @classmethod
     def of_edges(
-        cls, edges: Mapping[tuple[int, int], EdgeType], vocabulary: Vocabulary, n: int = 3, batch: int = 1
+        cls,
+        edges: Mapping[tuple[int, int], EdgeType],
+        vocabulary: Vocabulary,
+        n: int = 3,
+        batch: int = 1,
+        candidates: tuple[tuple[int, int], ...] | None = None,
     ) -> "InteractionGraph":
-        """The certain graph of n vehicles from `{(sender, receiver): type}`; other pairs have type none."""
-        types = [vocabulary.index(edges.get(pair, EdgeType.NONE)) for pair in pairs(n)]
-        return cls.certain(torch.tensor([types] * batch), vocabulary)
+        """The certain graph from `{(sender, receiver): type}`; other pairs have type none.
+
+        It is complete on n vehicles, or has the given candidate pairs, among which are all pairs with an edge.
+        """
+        which = pairs(n) if candidates is None else candidates
+        types = [vocabulary.index(edges.get(pair, EdgeType.NONE)) for pair in which]
+        return cls.certain(torch.tensor([types] * batch), vocabulary, candidates)
 
     @property
     def probs(self) -> Float[Tensor, "B E K"]:
@@ -83,14 +111,14 @@ class InteractionGraph:
     def __getitem__(self, scenes: Tensor | slice) -> "InteractionGraph":
         """The graphs of the selected groups."""
         unknown = None if self.unknown is None else self.unknown[scenes]
-        return InteractionGraph(self.logits[scenes], self.vocabulary, unknown)
+        return replace(self, logits=self.logits[scenes], unknown=unknown)
 
     def edges(self, scene: int = 0) -> dict[tuple[int, int], tuple[EdgeType, float]]:
         """`{(sender, receiver): (most probable type, its probability)}` of one group, without pairs of type none."""
         types, probs = self.map[scene].tolist(), self.probs[scene].tolist()
         return {
             pair: (self.vocabulary[k], p[k])
-            for pair, k, p in zip(pairs(vehicle_count(len(types))), types, probs, strict=True)
+            for pair, k, p in zip(self.pairs, types, probs, strict=True)
             if self.vocabulary[k] is not EdgeType.NONE
         }
 

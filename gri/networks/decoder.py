@@ -15,7 +15,7 @@ type 0. By default (`none_is_silent`) type 0 sends nothing and f_v reads the veh
 This file is the definition. The program runs `gri.networks.fast_decoder`, which computes the same faster.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -49,10 +49,17 @@ class DecoderConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     """Train the standard deviation; else it stays at its start."""
 
 
-def dense(edges: Float[Tensor, "B E K"]) -> DenseGraph:
-    """One-hot edge types [B, E, K] as a matrix [B, N, N, K] over (sender, receiver) with an empty diagonal."""
-    n = vehicle_count(edges.shape[1])
-    senders, receivers = edge_ends(n)
+def dense(
+    edges: Float[Tensor, "B E K"], pairs: Sequence[tuple[int, int]] | None = None, vehicles: int = 0
+) -> DenseGraph:
+    """One-hot edge types [B, E, K] as a matrix [B, N, N, K] over (sender, receiver) with an empty diagonal.
+
+    They are those of all ordered pairs, or of the given candidate pairs among so many vehicles.
+    """
+    n = vehicle_count(edges.shape[1]) if pairs is None else vehicles
+    senders, receivers = (
+        edge_ends(n) if pairs is None else torch.tensor(pairs, dtype=torch.long).reshape(-1, 2).unbind(1)
+    )
     matrix = edges.new_zeros(edges.shape[0], n, n, edges.shape[2])
     return matrix.index_put((torch.arange(len(edges))[:, None], senders, receivers), edges)
 

@@ -8,16 +8,19 @@ Two tests compare the values, up to rounding, in tests/gri/networks/test_fast_de
 `test_folding_changes_no_action` (folded against defined) and `test_numpy_drives_as_torch_does` (numpy against torch).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import torch
+from jaxtyping import Float
 from torch import Tensor, nn
 
 from gri.core.array_functions import NUMPY, functions_for
-from gri.networks.decoder import Act, Decoder, DenseGraph, FeedForward, MessageSum
+from gri.networks.decoder import Act, Decoder, DenseGraph, EdgeNetworks, FeedForward, MessageSum
+
+MOST_DENSE = 8  # vehicles; for more, messages are summed pair by pair
 
 
 def bind(decoder: Decoder, graph: DenseGraph, detach_senders: bool = False) -> Act:
@@ -32,10 +35,21 @@ def bind(decoder: Decoder, graph: DenseGraph, detach_senders: bool = False) -> A
     return act
 
 
-def bind_numpy(decoder: Decoder, graph: DenseGraph) -> Callable[[np.ndarray], np.ndarray] | None:
+@dataclass(frozen=True)
+class PairGraph:
+    """One-hot edge types [B, E, K] of E candidate pairs among N vehicles, all of which are driven."""
+
+    edges: Float[Tensor, "B E K"]
+    pairs: Sequence[tuple[int, int]]
+    """(sender, receiver) of each pair."""
+    vehicles: int
+
+
+def bind_numpy(decoder: Decoder, graph: DenseGraph | PairGraph) -> Callable[[np.ndarray], np.ndarray] | None:
     """The policy for states [B, N, D] in numpy; None for the recurrent form, which has a memory.
 
-    For a few groups this takes a fraction of torch's time, which goes mostly into calls.
+    For a few groups this takes a fraction of torch's time, which goes mostly into calls. Its cost grows with the number
+    of pairs that have an edge.
     """
     if not isinstance(decoder.body, FeedForward):
         return None
@@ -43,7 +57,7 @@ def bind_numpy(decoder: Decoder, graph: DenseGraph) -> Callable[[np.ndarray], np
     return lambda state: folded(state, state) * unit
 
 
-def fold(decoder: Decoder, body: FeedForward, graph: DenseGraph) -> "FoldedPolicy":
+def fold(decoder: Decoder, body: FeedForward, graph: DenseGraph | PairGraph) -> "FoldedPolicy":
     """Join units, both halves of the first edge layer and the layer of the own state into one product."""
     first, *later = [layer for layer in body.node if isinstance(layer, nn.Linear)]
     sender, receiver = body.messages.first_layer()
@@ -55,8 +69,10 @@ def fold(decoder: Decoder, body: FeedForward, graph: DenseGraph) -> "FoldedPolic
         weight=weight,
         bias=bias,
         ends=(len(sender), len(sender) + len(receiver)),
-        driven=graph.shape[2],
-        sum_messages=body.messages.bind(graph),
+        driven=graph.vehicles if isinstance(graph, PairGraph) else graph.shape[2],
+        sum_messages=SparseMessageSum.of_pairs(body.messages, graph)
+        if isinstance(graph, PairGraph)
+        else body.messages.bind(graph),
         node_weight=first.weight,
         later_layers=tuple((layer.weight, layer.bias) for layer in later),
     )
@@ -99,13 +115,13 @@ class FoldedPolicy:
 
     def numpy(self) -> "FoldedPolicy":
         """The same policy in numpy."""
-        assert isinstance(self.sum_messages, MessageSum), "it is in numpy already"
+        messages = self.sum_messages
         return FoldedPolicy(
             weight=_array(self.weight),
             bias=_array(self.bias),
             ends=self.ends,
             driven=self.driven,
-            sum_messages=SparseMessageSum.of(self.sum_messages),
+            sum_messages=SparseMessageSum.of(messages) if isinstance(messages, MessageSum) else messages,
             node_weight=_array(self.node_weight),
             later_layers=tuple((_array(weight), _array(bias)) for weight, bias in self.later_layers),
         )
@@ -133,9 +149,25 @@ class SparseMessageSum:
         pairs, (b, n, r, _) = (scene, sender, receiver), mask.shape
         return cls(pairs, mask[pairs], bias.reshape(b, n, r, -1)[pairs], second, (b, n, r))
 
+    @classmethod
+    def of_pairs(cls, networks: EdgeNetworks, graph: PairGraph) -> "SparseMessageSum":
+        """The sum over candidate pairs, without a matrix of all pairs."""
+        z = graph.edges[..., networks.first_type :]
+        scene, edge = (z != 0).any(-1).nonzero(as_tuple=True)
+        z = z[scene, edge]
+        ends = np.array(graph.pairs, dtype=np.int64).reshape(-1, 2)[edge.numpy()]
+        mask, bias = z.repeat_interleave(networks.hidden, -1), z @ networks.second_bias
+        shape = len(graph.edges), graph.vehicles, graph.vehicles
+        pairs = scene.numpy(), ends[:, 0], ends[:, 1]
+        return cls(pairs, _array(mask), _array(bias), _array(networks.second.weight.T), shape)
+
     def __call__(self, sender: np.ndarray, receiver: np.ndarray) -> np.ndarray:
         (scene, i, j), (scenes, senders, receivers) = self.pairs, self.shape
         hidden = NUMPY.silu(sender[scene, i] + receiver[scene, j]) * self.mask
+        if senders > MOST_DENSE:
+            sums = np.zeros((scenes, receivers, self.second.shape[1]), dtype=hidden.dtype)
+            np.add.at(sums, (scene, j), NUMPY.silu(self.bias + hidden @ self.second))
+            return sums
         messages = np.zeros((senders, scenes, receivers, self.second.shape[1]), dtype=hidden.dtype)
         messages[i, scene, j] = NUMPY.silu(self.bias + hidden @ self.second)
         return messages.sum(0)

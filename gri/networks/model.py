@@ -7,20 +7,23 @@ They differ in how they are trained (`gri.training`).
 from collections.abc import Callable
 
 import msgspec
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from gri.core.candidate_pairs import candidate_pairs
 from gri.core.dynamics import Dynamics, DynamicsName, dynamics_named
-from gri.core.graph import FOLLOWING, EdgeType, InteractionGraph
+from gri.core.graph import FOLLOWING, MOST_COMPLETE, EdgeType, InteractionGraph
 from gri.core.policy import PolicyState
 from gri.core.scale import CAR_FOLLOWING_PAPER, Scale
 from gri.core.trajectory import Trajectory
 from gri.networks import fast_decoder
 from gri.networks.decoder import Decoder, DecoderConfig, dense
 from gri.networks.encoder import Encoder, EncoderConfig
+from gri.networks.fast_pair_encoder import explain_pairs
 from gri.networks.novelty import Novelty
-from gri.networks.pair_encoder import PairEncoder, PairEncoderConfig
+from gri.networks.pair_encoder import LENGTH, PairEncoder, PairEncoderConfig
 
 
 class Edge(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -112,21 +115,49 @@ class RelationalModel(nn.Module):
         """Number of states from which the encoder infers the graph."""
         return self.config.history_steps
 
-    def infer(self, state: Float[Tensor, "B N T D"]) -> InteractionGraph:
+    def infer(
+        self, state: Float[Tensor, "B N T D"], candidates: tuple[tuple[int, int], ...] | None = None
+    ) -> InteractionGraph:
         """The graph that the encoder infers from these states; without an encoder, the graph of the configuration.
 
-        Raises `ValueError` if a state is not finite, or if the encoder needs a longer history.
+        It is complete, or has the given candidate pairs (sender, receiver), in lexicographic order. The cost then grows
+        with the pairs, for a model with a pair encoder: many vehicles are one group. Other encoders need the complete
+        graph.
+
+        Raises `ValueError` if a state is not finite, if the encoder needs a longer history, or if it cannot infer
+        candidate pairs.
         """
+        if candidates is not None:
+            return self._infer_candidates(state, candidates)
         if self.encoder is not None:
             _check_history(state, self.encoder.least_steps)
             unknown = None if self.novelty is None else self.novelty(state)
             return InteractionGraph(self.encoder(state), self.config.vocabulary, unknown)
-        edges = {(edge.sender, edge.receiver): edge.type for edge in self.config.graph}
-        return InteractionGraph.of_edges(edges, self.config.vocabulary, n=state.shape[1], batch=state.shape[0])
+        n, edges = state.shape[1], {(edge.sender, edge.receiver): edge.type for edge in self.config.graph}
+        if self.config.graph == CHAIN:
+            edges = {(j + 1, j): EdgeType.FOLLOW for j in range(n - 1)}
+        return InteractionGraph.of_edges(edges, self.config.vocabulary, n, len(state))
+
+    def _infer_candidates(
+        self, state: Float[Tensor, "B N T D"], candidates: tuple[tuple[int, int], ...]
+    ) -> InteractionGraph:
+        if not isinstance(self.encoder, PairEncoder):
+            raise ValueError("got candidate pairs for a model without a pair encoder; infer the complete graph")
+        _check_history(state, self.encoder.least_steps)
+        b, n, _, _ = state.shape
+        ends = torch.tensor(candidates, dtype=torch.long).reshape(-1, 2)
+        ends = (ends + n * torch.arange(b)[:, None, None]).flatten(0, 1)
+        x, v = state[..., 0].flatten(0, 1), state[..., self.dynamics.speed].flatten(0, 1)
+        _, follow = explain_pairs(self.encoder, x, v, ends)
+        logits = torch.stack([1 - follow, follow], -1).clamp(min=1e-13).log().reshape(b, len(candidates), 2)
+        return InteractionGraph(logits.to(state.dtype), self.config.vocabulary, candidates=candidates)
 
     @torch.no_grad()
     def begin(self, history: Trajectory) -> PolicyState:
         """Infer the graph from the last `history_steps` states.
+
+        It is complete on up to three vehicles; on more, a pair encoder is asked about those that are next to each other
+        in one lane (`gri.core.candidate_pairs`).
 
         Raises `ValueError` if a state is missing (`valid` is False) or not finite, or if the history has another
         sampling time. A model with an encoder also raises it for a history that is too short.
@@ -142,7 +173,10 @@ class RelationalModel(nn.Module):
         got = history.state.shape[2]
         if self.encoder is not None and got < self.history_steps:
             raise ValueError(f"got a history of {got} states, the model wants {self.history_steps}; give a longer one")
-        return PolicyState(self.infer(history.state[:, :, -self.history_steps :]), self.memory(history.initial))
+        states = history.state[:, :, -self.history_steps :]
+        sparse = states.shape[1] > MOST_COMPLETE and isinstance(self.encoder, PairEncoder)
+        graph = self.infer(states, candidates_in_lane(states[:, :, -1]) if sparse else None)
+        return PolicyState(graph, self.memory(history.initial))
 
     def memory(self, state: Float[Tensor, "B N D"]) -> Float[Tensor, "B N H"]:
         """The hidden state at the start of a roll-out: zeros."""
@@ -152,16 +186,17 @@ class RelationalModel(nn.Module):
         """Mean action under the most probable graph."""
         assert memory.graph is not None, "begin() gives a PolicyState with a graph"
         if self.training or self._bound is None or self._bound[0] is not memory.graph:
-            self._bound = memory.graph, self._bind(memory.graph)
+            self._bound = memory.graph, self._bind(memory.graph, state.shape[1])
         return self._bound[1](state, memory)
 
     @torch.no_grad()
-    def _bind(self, graph: InteractionGraph) -> Drive:
+    def _bind(self, graph: InteractionGraph, vehicles: int) -> Drive:
         """How to drive under a graph: in numpy for the feed-forward decoder, else in torch."""
-        edges = dense(graph.one_hot)
+        edges, pairs = graph.one_hot, graph.candidates
+        edges = dense(edges) if pairs is None else fast_decoder.PairGraph(edges, pairs, vehicles)
         by_numpy = fast_decoder.bind_numpy(self.decoder, edges)
         if by_numpy is None:
-            by_torch = fast_decoder.bind(self.decoder, edges)
+            by_torch = fast_decoder.bind(self.decoder, dense(graph.one_hot, pairs, vehicles))
 
             @torch.no_grad()
             def act(state: Tensor, memory: PolicyState) -> tuple[Tensor, PolicyState]:
@@ -200,6 +235,14 @@ def _check_history(state: Float[Tensor, "B N T D"], least_steps: int) -> None:
         )
     if state.shape[2] < least_steps:
         raise ValueError(f"got a history of {state.shape[2]} states, wanted at least {least_steps}; give a longer one")
+
+
+def candidates_in_lane(state: Float[Tensor, "B N D"]) -> tuple[tuple[int, int], ...]:
+    """The pairs that are candidates in at least one of B groups, each in one lane, of vehicles 5 m long."""
+    x = state[..., 0].double().numpy()
+    lanes, length = np.zeros((x.shape[1], 2), dtype=np.int64), np.full(x.shape[1], LENGTH)
+    found = [candidate_pairs(s, lanes, length, adjacent=False) for s in x]
+    return tuple((i, j) for i, j in np.unique(np.concatenate(found), axis=0).tolist())
 
 
 def relative(state: Float[Tensor, "B N D"]) -> Float[Tensor, "B N D"]:

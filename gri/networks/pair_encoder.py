@@ -13,6 +13,7 @@ better j's accelerations are explained by what j would see of k (`gri.networks.r
 the number of vehicles.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import msgspec
@@ -98,11 +99,11 @@ class PairEncoder(nn.Module):
 
     def _embed(self, x: Float[Tensor, "B N T"], v: Float[Tensor, "B N T"], which: Pairs) -> Float[Tensor, "P H"]:
         motion = pair_motion(x, v, which, self.dt)
-        features = self.convolutions(_series(motion, self.dt))
+        features = self.convolutions(pair_series(motion, self.dt))
         weight = self.attention(features).softmax(-1)
         heads = features.unflatten(1, (self.config.heads, -1))
         pooled = [(heads * weight[:, :, None]).sum(-1).flatten(1), features.mean(-1), features.amax(-1)]
-        return self.pair(torch.cat([*pooled, _statistics(motion, self.dt)], -1))
+        return self.pair(torch.cat([*pooled, pair_statistics(motion, self.dt)], -1))
 
 
 class PairMotion(NamedTuple):
@@ -142,7 +143,8 @@ def _normalised(series: Float[Tensor, "P T"], floor: float = 0.02) -> Float[Tens
     return centred / (centred.square().mean(-1, keepdim=True).sqrt() + floor)
 
 
-def _series(motion: PairMotion, dt: float) -> Float[Tensor, "P C T"]:
+def pair_series(motion: PairMotion, dt: float) -> Float[Tensor, "P C T"]:
+    """The channels that the convolutions read."""
     gap, own, other, own_a, other_a = motion
     time = (torch.arange(1 - gap.shape[-1], 1, dtype=gap.dtype) * dt / 4.0).expand_as(gap)  # Units: 4 s
     reaction, space, difference, cause = (_normalised(s) for s in (own_a, gap, other - own, other_a))
@@ -162,9 +164,11 @@ def _series(motion: PairMotion, dt: float) -> Float[Tensor, "P C T"]:
 
 
 @torch.no_grad()
-def _statistics(motion: PairMotion, dt: float) -> Float[Tensor, "P F"]:
+def pair_statistics(
+    motion: PairMotion, dt: float, evidence_of: Callable[..., Tensor] = reaction_evidence
+) -> Float[Tensor, "P F"]:
     """The evidence for a reaction, squashed, the best of it, and how much both vehicles accelerate."""
-    evidence = reaction_evidence(motion.gap, motion.receiver, motion.sender, dt)
+    evidence = evidence_of(motion.gap, motion.receiver, motion.sender, dt)
     best = evidence[:, 1:].amax(-1, keepdim=True)
     moves = [(a.square().mean(-1, keepdim=True) + 1e-4).log() / 4 for a in (motion.receiver_a, motion.sender_a)]
     squashed = (torch.cat([evidence[:, 1:], best], -1) / 3).asinh()
