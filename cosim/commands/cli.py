@@ -20,10 +20,11 @@ from cosim.commands.arguments import (
 )
 from cosim.commands.batch import batch, results
 from cosim.commands.new import new
+from cosim.commands.realism import realism
 from cosim.commands.scenes import scenes
 from cosim.commands.show import explain, gui, render, report
 from cosim.commands.stress import stress
-from cosim.commands.traffic import calibrate, realism, traffic
+from cosim.commands.traffic import calibrate, traffic
 from gri.errors import InputError
 from gri.table import Table
 from gri.terminal import (

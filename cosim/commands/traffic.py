@@ -20,8 +20,6 @@ from gri.errors import InputError
 from gri.terminal import FormatOption, ProgressDisplay, ShowProgress, finite, show_tables
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from cosim.runs.traffic_survey import Survey
     from cosim.spec.scenario import Scenario
 
@@ -53,7 +51,7 @@ def traffic(
     for name, scenario in zip(scenarios or SITES, chosen, strict=True):
         variants = [override(scenario, {"seed": scenario.seed + k}) for k in range(seeds)]
         with ProgressDisplay() as progress:
-            found = [_survey(variant, duration, progress, f"seed {variant.seed}") for variant in variants]
+            found = [survey_of(variant, duration, progress, f"seed {variant.seed}") for variant in variants]
         from cosim.studies.traffic_targets import statistics_table, traffic_statistics
 
         figures = [traffic_statistics(v, s) for v, s in zip(variants, found, strict=True)]
@@ -133,86 +131,7 @@ def _with_target(scenario: "Scenario", target_speed: float | None) -> "Scenario"
     return replace(scenario, traffic=replace(scenario.traffic, targets=replace(targets, mean_speed=target_speed / 3.6)))
 
 
-def realism(
-    subject: Annotated[str, typer.Argument(metavar="SCENARIO|RUN", help="A scenario, or a run folder.")],
-    against: Annotated[
-        Path, typer.Option(help="The recording: an NGSIM file, a scene file, or a Parquet table of samples.")
-    ],
-    stretch: Annotated[
-        tuple[float, float] | None,
-        typer.Option(metavar="FROM TO", callback=finite, help="Use only this stretch of the simulated road [m]."),
-    ] = None,
-    lanes: Annotated[
-        str | None, typer.Option(help="Use only these lanes, counted from the left, such as 2,3,4.")
-    ] = None,
-    seed: SeedOption = None,
-    duration: DurationOption = 600,
-    out: Annotated[Path | None, typer.Option(help="Folder to write; default: a new one in runs/.")] = None,
-    settings: SetOption = None,
-    table_format: FormatOption = "table",
-) -> None:
-    """Compare simulated traffic with a recording.
-
-    Writes the distances between the distributions of speeds, accelerations,
-    headways and time gaps, with 95 % intervals, and a picture.
-    """
-    from cosim.runs.run_folder import next_folder, run_folder
-
-    is_run = Path(subject, "steps.parquet").is_file()
-    began = time.monotonic()
-    if is_run and (stretch or settings or seed is not None):
-        raise InputError(
-            f"{subject}: --stretch, --seed and --set are for scenarios, and this is a run folder; leave them out"
-        )
-    read = _of_run if is_run else lambda name: _of_scenario(name, seed, duration, settings or [])
-    chosen = _lanes(lanes)
-    folder = out or next_folder(Path("runs"), f"{Path(subject).stem}-realism")
-    with run_folder(folder) as partial:
-        from cosim.studies.traffic_samples import recorded_samples
-
-        recorded = recorded_samples(against)
-        simulated = read(subject)
-        if stretch is not None:
-            simulated = simulated[simulated["x"].between(*stretch)]
-        if chosen:
-            recorded = recorded[recorded["lane"].isin(chosen)]
-            simulated = simulated if is_run else simulated[simulated["lane"].isin(chosen)]
-        from cosim.studies.realism_report import write_realism_report
-
-        table = write_realism_report(partial, simulated, recorded)
-    show_tables(
-        [table],
-        table_format,
-        f"{time.monotonic() - began:.0f} s. Distances and picture: {folder}",
-        then=f"cosim report {subject}" if is_run else f"cosim calibrate {subject}",
-    )
-
-
-def _lanes(text: str | None) -> list[int]:
-    try:
-        return [int(lane) for lane in text.split(",")] if text else []
-    except ValueError:
-        raise InputError(f"--lanes: got {text!r}, wanted numbers such as 2,3,4") from None
-
-
-def _of_run(folder: str) -> "pd.DataFrame":
-    from cosim.studies.traffic_samples import run_samples
-
-    return run_samples(Path(folder))
-
-
-def _of_scenario(name: str, seed: int | None, duration: float, settings: list[str]) -> "pd.DataFrame":
-    from cosim.spec.loading import load_scenario, override
-
-    scenario = override(load_scenario(name, settings=settings), {} if seed is None else {"seed": seed})
-    with ProgressDisplay() as progress:
-        found = _survey(scenario, duration, progress, "traffic")
-    from cosim.studies.traffic_samples import with_headways
-
-    return with_headways(found.samples.assign(source="simulated"))
-
-
-def _survey(scenario: "Scenario", duration: float, progress: ShowProgress, stage: str) -> "Survey":
+def survey_of(scenario: "Scenario", duration: float, progress: ShowProgress, stage: str) -> "Survey":
     """Survey the traffic in a process of its own; its progress is shown under the name of the stage."""
     from cosim.process.worker_process import run_in_worker
 
