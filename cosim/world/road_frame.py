@@ -17,9 +17,10 @@ from itertools import pairwise
 import numpy as np
 from jaxtyping import Float, Int
 
-from cosim.world.polyline import corner_normals, with_corner_vertices
+from cosim.world.polyline import corner_normals, directions, with_corner_vertices
 
 NOMINAL_LENGTH = 5.0  # [m], of a vehicle ahead in the model's frame
+EXTENSION = 1000.0  # [m] by which a curved reference line goes on straight beyond its ends
 CURVATURE_REACH = 10.0  # [m] behind and ahead, over which the curvature is measured
 
 
@@ -92,12 +93,23 @@ class RoadFrame:
 
     @cached_property
     def _vertices(self) -> tuple[np.ndarray, np.ndarray]:
-        """Vertices with normals; without given normals, vertices near the corners are added."""
-        line = self.points * [1, -1] if self.mirrored else self.points
-        if self.normals is not None:
-            return line, self.normals * [1, -1] if self.mirrored else self.normals
-        line = with_corner_vertices(line)
-        return line, corner_normals(line)
+        """Vertices with normals; without given normals, vertices near the corners are added.
+
+        A line that is not straight is longer than the road by EXTENSION on both ends.
+        """
+        line, normals = self.points, self.normals
+        if normals is None:
+            line = with_corner_vertices(line)
+            normals = corner_normals(line)
+        if not self.is_straight:
+            before, after = (EXTENSION * step for step in directions(line)[[0, -1]])
+            line = np.concatenate([line[:1] - before, line, line[-1:] + after])
+            normals = np.concatenate([normals[:1], normals, normals[-1:]])
+        return (line * [1, -1], normals * [1, -1]) if self.mirrored else (line, normals)
+
+    @property
+    def _jumps(self) -> list[int]:
+        return [k + 1 for k in self.jumps]
 
     @cached_property
     def _segments(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -107,8 +119,9 @@ class RoadFrame:
         length = np.hypot(delta[:, 0], delta[:, 1])
         assert (length > 0).all(), "the reference line has a repeated point"
         direction = delta / length[:, None]
-        length[[*self.jumps]] = 0.0
-        return line[:-1], direction, np.concatenate([[0.0], np.cumsum(length)])
+        length[self._jumps] = 0.0
+        first = 0.0 if self.is_straight else -EXTENSION
+        return line[:-1], direction, first + np.concatenate([[0.0], np.cumsum(length)])
 
     @property
     def is_straight(self) -> bool:
@@ -118,7 +131,7 @@ class RoadFrame:
     @property
     def end(self) -> float:
         """Coordinate s [m] of the end of the reference line."""
-        return float(self._segments[2][-1]) - self.origin
+        return float(self._segments[2][-1]) - (0.0 if self.is_straight else EXTENSION) - self.origin
 
     def to_road(
         self,
@@ -137,9 +150,9 @@ class RoadFrame:
             return along - self.origin, across
         segment = self._nearest(xy, within)
         last, forward = len(direction) - 1, np.ones(len(direction), dtype=int)
-        forward[[k - 1 for k in self.jumps if k > 0]] = 2  # the segment after a jump follows the one before it
+        forward[[k - 1 for k in self._jumps]] = 2  # the segment after a jump follows the one before it
         backward = np.ones(len(direction), dtype=int)
-        backward[[k + 1 for k in self.jumps if k < last]] = 2
+        backward[[k + 1 for k in self._jumps]] = 2
         for _ in range(20):  # from the nearest segment to the one between whose normals the point is
             share, d = self._in_segment(xy, segment)
             move = np.where(share > 1, forward[segment], np.where(share < 0, -backward[segment], 0))
@@ -156,7 +169,7 @@ class RoadFrame:
         low, high = np.zeros(len(direction)), np.diff(arc)
         low[0], high[-1] = -np.inf, np.inf
         distance = np.hypot(along - np.clip(along, low, high), across)
-        distance[:, [*self.jumps]] = np.inf
+        distance[:, self._jumps] = np.inf
         if within is not None:
             lowest, highest = (value + self.origin for value in within)
             beside = (arc[1:] < lowest[:, None]) | (arc[:-1] > highest[:, None])
