@@ -19,6 +19,7 @@ from cosim.commands.arguments import (
     SetOption,
 )
 from cosim.commands.batch import batch, results
+from cosim.commands.check import check
 from cosim.commands.new import new
 from cosim.commands.realism import realism
 from cosim.commands.scenes import scenes
@@ -139,7 +140,7 @@ def run(
         raise typer.Exit(FEWER_THAN_ASKED)
 
 
-for _command in (new, report, explain, render, gui, traffic, calibrate, realism, scenes, stress, batch, results):
+for _command in (new, check, report, explain, render, gui, traffic, calibrate, realism, scenes, stress, batch, results):
     app.command()(_command)
 
 

@@ -50,7 +50,7 @@ def merging(
         return Ending.LANE_LEFT
     if _between(snapshot, rows, lanes).any():
         return Ending.CUT_IN
-    if now[0, _S] + now[0, _V] * dt >= lanes.source.end and now[0, _D] < lanes.boundary:
+    if now[0, _S] + now[0, _V] * dt >= lanes.source.end and lanes.beyond(now[0, _D]) < 0:
         return Ending.LANE_END
     inside = abs(now[0, _D] - lanes.target.centre) + 0.5 * width <= 0.5 * lanes.target.width
     if not inside:

@@ -263,4 +263,4 @@ class NoIntervention:
 
 def _place(world: Sumo, road: RoadFrame, vehicle: str, s: float, d: float, heading: float, v: float) -> None:
     xy, along = road.to_world(np.array([s]), np.array([d]))
-    world.command(vehicle, float(xy[0, 0]), float(xy[0, 1]), float(along[0]) + heading, v)
+    world.command(vehicle, float(xy[0, 0]), float(xy[0, 1]), float(along[0]) + road.side * heading, v)

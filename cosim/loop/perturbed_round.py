@@ -114,10 +114,12 @@ def _span(length: float, lanes: MergeLanes | None) -> Float[np.ndarray, "3 2"]:
 
 
 def _sides(lanes: MergeLanes | None) -> tuple[float, float] | None:
-    """The range of d [m] from the lane that ends, the rightmost one, to the left border; None in car following."""
+    """The range of d [m] from the lane that ends to the border on the other side; None in car following."""
     if lanes is None:
         return None
     half = 0.5 * lanes.target.width
+    if lanes.side < 0:  # a lane on the left ends: no road beyond it; to the right, as far as the target lane
+        return lanes.target.centre - half, lanes.source.centre + half
     return lanes.source.centre - half, half  # d = 0 is the centre of the leftmost lane
 
 

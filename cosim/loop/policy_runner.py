@@ -51,30 +51,38 @@ class PolicyRunner:
     ) -> None:
         assert policy.dynamics.name is layout.dynamics.name, f"cannot drive {policy.dynamics.name} states here"
         self._policy, self._layout, self._dt = policy, layout, dt
+        self._every = max(round(policy.dt / dt), 1)  # steps between two actions of the policy
         self._dynamics, self._speed = policy.dynamics, policy.dynamics.speed
         self._driven_roles, self._override_graph = list(driven_roles), override_graph
         self._reinfer_steps, self._channels = reinfer_steps, channels
         self._mask: tuple[list[int], np.ndarray] | None = None  # active groups, and the vehicles driven in them
         *past, latest = (torch.from_numpy(layout.states(observation.state)) for observation in history)
         observed = [channels.observed(state) for state in past] + [channels.observed(latest, final=False)]
-        self._window = deque((views.flatten(0, 1).numpy() for views in observed), policy.history_steps)
+        sampled = observed[:: -self._every][::-1]
+        self._window = deque((views.flatten(0, 1).numpy() for views in sampled), policy.history_steps)
         self._state = self._commanded = layout.states(start.state)
         self.pose = layout.pose(self._commanded)
         self._decided_at: float | None = None
         self._steps, self._took_over = 0, history[-1].time
         self.graphs: list[tuple[float, InteractionGraph]] = []
         self.failures: dict[int, str] = {}  # groups for which the policy has given no usable answer, and why
-        self._memory = PolicyState.empty(Trajectory.complete(_relative(np.stack(self._window, axis=2)), dt))
+        self._action_now = torch.zeros(*self._state.shape[:2], len(policy.dynamics.action))
+        self._memory = PolicyState.empty(Trajectory.complete(_relative(np.stack(self._window, axis=2)), self._period))
         try:
             self._memory = self._infer_graph(None)
             self._record_graph(history[-1].time)
         except PolicyFailure as failure:
             self._fail(range(len(self._state)), str(failure))
 
+    @property
+    def _period(self) -> float:
+        """Time [s] between two actions of the policy."""
+        return self._every * self._dt
+
     def _infer_graph(self, last: InteractionGraph | None) -> PolicyState:
         """The policy's memory of the window, with the graph that it is to use."""
         states = _relative(np.stack(self._window, axis=2))
-        memory = self._policy.begin(Trajectory.complete(states, self._dt))
+        memory = self._policy.begin(Trajectory.complete(states, self._period))
         return memory if memory.graph is None else replace(memory, graph=self._override_graph(memory.graph, last))
 
     def _record_graph(self, time: float) -> None:
@@ -84,14 +92,16 @@ class PolicyRunner:
     def decide(self, time: float) -> None:
         """Call the policy and the dynamics: `pose` becomes where the vehicles are to be after the next step.
 
+        A policy with a longer period than the step keeps its action until the period is over.
         A second call at the same `time` [s] changes nothing, so that the first decision can be made before a branch.
         """
         if time == self._decided_at:
             return
         self._decided_at = time
         observed = self._channels.observed(torch.from_numpy(self._state)).flatten(0, 1).numpy()
-        action = self._usable(self._of_own_view(self._action(observed, time)))
-        action = self._channels.executed_action(action)
+        if self._steps % self._every == 0:
+            self._action_now = self._usable(self._of_own_view(self._action(observed, time)))
+        action = self._channels.executed_action(self._action_now)
         self._commanded = self._next_state(action.numpy().astype(float))
         self._steps += 1
         self.pose = self._layout.pose(self._commanded)
@@ -137,7 +147,7 @@ class PolicyRunner:
 
     def _next_state(self, action: Float[np.ndarray, "G 3 A"]) -> Float[np.ndarray, "G 3 D"]:
         """The next state by the dynamics, within what the road surface allows; no vehicle drives backwards."""
-        following = self._dynamics.step(self._state, action, self._dt)
+        following = self._layout.in_bends(self._state, self._dynamics.step(self._state, action, self._dt))
         following = self._channels.feasible_state(torch.from_numpy(following)).numpy()
         if self._dynamics.stop is None or not (following[..., self._speed] < 0).any():  # few ever stand still
             return following

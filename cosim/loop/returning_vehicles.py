@@ -79,7 +79,9 @@ class ReturningVehicles:
             self._stops[vehicle] = stop = stop.after(self.dt)
             lane = self._show(world, road, vehicle, (stop.s, stop.d, stop.heading, stop.v), now)
             xy, along = road.to_world(np.array([stop.s]), np.array([stop.d]))
-            world.command(vehicle, float(xy[0, 0]), float(xy[0, 1]), float(along[0]) + stop.heading, stop.v, lane)
+            world.command(
+                vehicle, float(xy[0, 0]), float(xy[0, 1]), float(along[0]) + road.side * stop.heading, stop.v, lane
+            )
 
     def _guide(self, world: Sumo, road: RoadFrame, vehicle: str, state: Return, now: Snapshot) -> None:
         """Command one returning vehicle, or release it where SUMO's driver has its own headway again."""
@@ -106,7 +108,8 @@ class ReturningVehicles:
             net_gap, braking = gap - headway.gap, drivers.braking(leader)
             known = min(limit, drivers.follow_speed(vehicle, v, net_gap, ahead.v, braking))
         world.guide(vehicle, speed, lateral, safely=state.checked and speed <= known)
-        self._show(world, road, vehicle, (s + speed * dt, d + lateral - state.drift.at(state.time), 0.0, speed), now)
+        aside = road.side * (lateral - state.drift.at(state.time))
+        self._show(world, road, vehicle, (s + speed * dt, d + aside, 0.0, speed), now)
         self._returns[vehicle] = replace(state, headway=headway, leader=leader, time=time)
 
     def _show(
@@ -123,5 +126,5 @@ def stop_of(now: Snapshot, road: RoadFrame, vehicle: str, a: float, braking: flo
     row = now.row_of[vehicle]
     s, d, heading, v = (float(of[row]) for of in (now.s, now.d, now.heading, now.v))
     jerk = plan.EMERGENCY_JERK if braking > plan.EMERGENCY else plan.FIRM_JERK
-    turned = heading - float(road.heading_at(now.s[[row]])[0])
+    turned = road.side * (heading - float(road.heading_at(now.s[[row]])[0]))
     return Stop(s, d, math.remainder(turned, 2 * math.pi), v, a, braking, jerk)

@@ -9,8 +9,8 @@ from jaxtyping import Bool, Float
 from cosim.loop import end_conditions
 from cosim.loop.observation import GroupObservation
 from cosim.loop.state_layouts import Pose
-from cosim.measures.collision_detection import overlapping_pairs
 from cosim.spec.scenario import GroupRule, Merge
+from cosim.world.contacts import touching_pairs
 from cosim.world.episode import COLUMNS, Ending, Event, EventKind
 from cosim.world.groups import Group, MergeLanes, next_ahead
 from cosim.world.hand_back_columns import BRAKING, BRAKING_WINDOW
@@ -175,7 +175,7 @@ class RoundRecorder:
         active = self.active
         rows = observation.rows[active, :CONTACT_ROLES]
         rows = rows.ravel() if observation.complete else rows[observation.valid[active, :CONTACT_ROLES]]
-        hits = overlapping_pairs(snapshot.xy, snapshot.heading, snapshot.length, snapshot.width, rows)
+        hits = touching_pairs(snapshot, rows)
         ours = {frozenset((snapshot.ids[i], snapshot.ids[j])) for i, j in hits.tolist()}
         theirs = {frozenset(pair) for pair in report.collisions}
         if not ours and not theirs and not report.teleported:

@@ -37,14 +37,14 @@ def shadow_placement(s: float, d: float, width: float, lanes: MergeLanes) -> Sha
     """The lanes of a vehicle with its front at (s, d) [m], on its way to the target lane, and of its shadow."""
     if not max(lanes.source.begin, lanes.target.begin) <= s <= min(lanes.source.end, lanes.target.end):
         return ShadowPlacement()
-    beyond = d - lanes.boundary
+    beyond, pair = lanes.beyond(d), lanes.at(s)
     if beyond >= 0.5 * width:
         return ShadowPlacement()
     if beyond >= 0:
-        return ShadowPlacement(lanes.target.lane, lanes.source.lane, d)
+        return ShadowPlacement(pair.target, pair.source, d)
     if beyond > -0.5 * width:
-        return ShadowPlacement(lanes.source.lane, lanes.target.lane, d)
-    return ShadowPlacement("", lanes.target.lane, lanes.target.centre)
+        return ShadowPlacement(pair.source, pair.target, d)
+    return ShadowPlacement("", pair.target, lanes.target.centre)
 
 
 def is_free(
@@ -89,6 +89,6 @@ def place(
         world.remove_shadow(vehicle)
         return wanted.own_lane
     xy, along = road.to_world(np.array([s]), np.array([wanted.shadow_d]))
-    turned = float(along[0]) + (0.0 if announces else heading)
+    turned = float(along[0]) + road.side * (0.0 if announces else heading)
     world.place_shadow(vehicle, float(xy[0, 0]), float(xy[0, 1]), turned, v, wanted.shadow_lane)
     return wanted.own_lane

@@ -73,7 +73,11 @@ class PolicyControl:
         self.returning.command(world, road, now)
         this_round, pose = self.round, self.runner.pose
         xy, along = road.to_world(pose.s.ravel(), pose.d.ravel())
-        points, headings, speeds = xy.tolist(), (along + pose.heading.ravel()).tolist(), pose.v.ravel().tolist()
+        points, headings, speeds = (
+            xy.tolist(),
+            (along + road.side * pose.heading.ravel()).tolist(),
+            pose.v.ravel().tolist(),
+        )
         for g in active:
             for role in this_round.driven_roles:
                 vehicle, lane, k = this_round.groups[g].ids[role], "", 3 * g + role
@@ -110,7 +114,7 @@ class PolicyControl:
                 self.returning.stop(world, vehicle, stop_of(now, road, vehicle, float(a), braking))
             for role in self.round.driven_roles:
                 if ids[role] not in must_stop and observation.valid[g, role]:
-                    lateral_speed = float(pose.v[g, role] * np.sin(pose.heading[g, role]))
+                    lateral_speed = road.side * float(pose.v[g, role] * np.sin(pose.heading[g, role]))
                     a, checked = float(observation.state[g, role, _A]), recorder.endings[g] is not Ending.CONTACT
                     self.returning.hand_back(world, ids[role], a, lateral_speed, checked=checked)
                 elif not observation.valid[g, role]:

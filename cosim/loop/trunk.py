@@ -95,6 +95,7 @@ class Trunk:
             zone=(0.0, scenario.road.length),
             barred=self._barred(history[-1]),
             limit=min(limit, scenario.groups_at_once),
+            lanes=self._running.lanes,
         )
         groups = found.groups
         self.search += found

@@ -1,15 +1,19 @@
 """The lanes of a net in the road frame, read from the net file, for pictures; no simulation is needed."""
 
-import math
+import gzip
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 from jaxtyping import Float
 
-from cosim.spec.input_files import find_net
-from cosim.spec.scenario import Road, Scenario
-from cosim.world.road_frame import RoadFrame, without_straight_vertices
+from cosim.spec.input_files import GZIP, find_net
+from cosim.spec.scenario import Scenario
+from cosim.world.road_frame import RoadFrame
+from cosim.world.road_lanes import LaneLink, RoadLane, frame_along
 from gri.errors import InputError
 
 SUMO_LANE_WIDTH = 3.2  # [m], of a lane without the attribute
@@ -36,40 +40,68 @@ class DrawnRoad:
 def drawn_road(scenario: Scenario) -> DrawnRoad:
     """The road of a scenario; an empty one where its net is not on this machine or has not the road's edges."""
     try:
-        root = ElementTree.parse(find_net(scenario.net)).getroot()
+        root = parse_net(find_net(scenario.net))
     except InputError:
         return DrawnRoad(None, ())
-    edges = {str(edge.get("id")): edge.findall("lane") for edge in root.iter("edge") if edge.get("function") is None}
-    if not set(scenario.road.edges) <= set(edges):
+    lanes, road = lanes_of(root), scenario.road
+    count = Counter(lane.edge for lane in lanes.values())
+    if not set(road.edges) <= set(count):
         return DrawnRoad(None, ())
-    frame = _frame(scenario.road, {name: _shape(lanes[-1]) for name, lanes in edges.items()})
-    lanes = tuple(
+    frame = frame_along(lanes, count.__getitem__, road.edges, road.origin, mirrored=is_left_hand(root))
+    drawn = tuple(
         Lane(
-            centre=np.stack(frame.to_road(_shape(lane)), axis=1),
-            width=float(lane.get("width", SUMO_LANE_WIDTH)),
-            rightmost=index == 0,
-            leftmost=index == len(of_edge) - 1,
+            centre=np.stack(frame.to_road(lane.shape), axis=1),
+            width=lane.width,
+            rightmost=lane.index == 0,
+            leftmost=lane.index == count[lane.edge] - 1,
         )
-        for of_edge in edges.values()
-        for index, lane in enumerate(of_edge)
+        for lane in lanes.values()
+        if lane.id[0] != ":"
     )
-    return DrawnRoad(frame, lanes)
+    return DrawnRoad(frame, drawn)
+
+
+def parse_net(path: Path) -> ElementTree.Element:
+    """The root element of a net file, which may be compressed."""
+    with path.open("rb") as raw, gzip.open(raw) if raw.peek(2)[:2] == GZIP else raw as file:
+        return ElementTree.parse(file).getroot()
+
+
+def is_left_hand(root: ElementTree.Element) -> bool:
+    """Whether traffic drives on the left in a net."""
+    return root.get("lefthand", "false") in ("true", "1")
+
+
+def lanes_of(root: ElementTree.Element) -> dict[str, RoadLane]:
+    """All lanes of a net, those of junctions among them."""
+    links: dict[str, list[tuple[str, str]]] = {}
+    for link in root.iter("connection"):
+        names = [f"{link.get(end)}_{link.get(f'{end}Lane')}" for end in ("from", "to")]
+        links.setdefault(names[0], []).append((names[1], link.get("via", "")))
+    lanes = {}
+    for edge in root.iter("edge"):
+        for lane in edge.findall("lane"):
+            name = str(lane.get("id"))
+            lanes[name] = RoadLane(
+                id=name,
+                edge=str(edge.get("id")),
+                index=int(str(lane.get("index"))),
+                shape=_shape(lane),
+                length=float(str(lane.get("length"))),
+                width=float(lane.get("width", SUMO_LANE_WIDTH)),
+                links=tuple(LaneLink(to, _across(links, to, via)) for to, via in links.get(name, ())),
+            )
+    return lanes
+
+
+def _across(links: Mapping[str, Sequence[tuple[str, str]]], to: str, via: str) -> tuple[str, ...]:
+    """The lanes of a junction up to the lane `to`, the first of which is `via`."""
+    found: list[str] = []
+    while via and via not in found:
+        found.append(via)
+        via = next((second for target, second in links.get(via, ()) if target == to), "")
+    return tuple(found)
 
 
 def _shape(lane: ElementTree.Element) -> Float[np.ndarray, "P 2"]:
     return np.array([[float(x) for x in point.split(",")[:2]] for point in str(lane.get("shape")).split()])
-
-
-def _frame(road: Road, leftmost: dict[str, Float[np.ndarray, "P 2"]]) -> RoadFrame:
-    """The frame along the centres of the leftmost lanes, as `cosim.sumo.net` makes it in the simulation."""
-    points: list[tuple[float, float]] = []
-    start = 0
-    for edge in road.edges:
-        shape = [(float(x), float(y)) for x, y in leftmost[edge]]
-        meets = bool(points) and math.dist(points[-1], shape[0]) < 0.1
-        if edge == road.origin:
-            start = len(points) - 1 if meets else len(points)
-        points += shape[1:] if meets else shape
-    line = np.array(points)
-    before = np.diff(line[: start + 1], axis=0)
-    return RoadFrame(without_straight_vertices(line), float(np.hypot(before[:, 0], before[:, 1]).sum()))

@@ -50,21 +50,22 @@ def policy_of(scenario: spec.Scenario) -> Policy | None:
         InputError: the policy does not fit the group rule, the step or the history.
     """
     in_lane = isinstance(scenario.group, spec.CarFollowing)
+    period = scenario.policy_period or scenario.step
     match scenario.policy:
         case spec.LeftToSumo():
             return None
         case spec.Idm():
-            model = IntelligentDriver(scenario.step, length=NOMINAL_LENGTH)
+            model = IntelligentDriver(period, length=NOMINAL_LENGTH)
             policy: Policy = model if in_lane else MergingDriver(model)
         case spec.ConstantVelocity():
-            policy = ConstantVelocity(scenario.step, POINT_MASS_1D if in_lane else DUBINS)
+            policy = ConstantVelocity(period, POINT_MASS_1D if in_lane else DUBINS)
         case spec.TrainedPolicy(checkpoint=name):
             path = checkpoint_path(name)
             model = checkpoint.load(path)
             _check_vocabulary(model, scenario.group, path)
             policy = model
         case spec.UserPolicy() as own:
-            policy = own_policy(own, scenario.step)
+            policy = own_policy(own, period)
     check_fit(policy, scenario)
     return policy
 
@@ -93,11 +94,27 @@ def check_fit(policy: Policy, scenario: spec.Scenario) -> None:
             f"policy: got a policy for {policy.dynamics.name} states {policy.dynamics.state}, the group rule"
             f" {spec.tag_of(scenario.group)!r} wants {layout} states; choose another policy"
         )
-    if abs(policy.dt - scenario.step) > 1e-9:
-        raise InputError(f"step: got {scenario.step:g} s, the policy acts every {policy.dt:g} s; set step to that")
-    if policy.history_steps > scenario.steps(scenario.history):
-        needed = policy.history_steps * scenario.step
+    if not _is_multiple(policy.dt, scenario.step):
+        raise InputError(
+            f"step: got {scenario.step:g} s, the policy acts every {policy.dt:g} s; set step to that, or to a whole"
+            " fraction of it"
+        )
+    if scenario.policy_period and abs(policy.dt - scenario.policy_period) > 1e-9:
+        raise InputError(
+            f"policy_period: got {scenario.policy_period:g} s, the policy acts every {policy.dt:g} s; set it to that,"
+            " or leave it out"
+        )
+    if scenario.reinfer_s and not _is_multiple(scenario.reinfer_s, policy.dt):
+        raise InputError(
+            f"reinfer_s: got {scenario.reinfer_s:g} s, the policy acts every {policy.dt:g} s; set it to a multiple"
+        )
+    if policy.history_steps * policy.dt > scenario.history + 1e-9:
+        needed = policy.history_steps * policy.dt
         raise InputError(
             f"history: got {scenario.history:g} s, the policy wants {policy.history_steps} states; set history to at"
             f" least {needed:g}"
         )
+
+
+def _is_multiple(duration: float, of: float) -> bool:
+    return round(duration / of) >= 1 and abs(duration / of - round(duration / of)) < 1e-6

@@ -91,7 +91,7 @@ def _moving(name: str, rows: pd.DataFrame, time: Times, size: tuple[float, float
     s, d, angle = np.full((3, len(time)), np.nan)
     s[at], d[at] = rows["s"], rows["d"]
     if frame is not None:
-        turn = rows["heading"].to_numpy() - frame.heading_at(rows["s"].to_numpy(dtype=float))
+        turn = frame.side * (rows["heading"].to_numpy() - frame.heading_at(rows["s"].to_numpy(dtype=float)))
         angle[at] = (turn + np.pi) % (2 * np.pi) - np.pi
     elif len(at):
         angle[at] = _angle_of_path(s[at], d[at])

@@ -66,16 +66,18 @@ class CarFollowing(Spec, frozen=True, kw_only=True, tag_field="rule", tag="car_f
 
 
 class Merge(Spec, frozen=True, kw_only=True, tag_field="rule", tag="merge"):
-    """Vehicle 0 on a lane that ends, between the lag vehicle 1 and the leader 2 in the lane to its left.
+    """Vehicle 0 on a lane that ends, between the lag vehicle 1 and the leader 2 in the lane beside it.
 
-    `lane` is the id of the lane that ends, and `zone` is the range of s [m] in which the group is taken over. Net gaps
-    [m], speeds [m/s] and speed differences [m/s] of vehicles 1 and 2 to vehicle 0 are limited at the end of the
-    history, during which 1 and 2 keep their lane. The merge is complete once vehicle 0 was in the target lane for
-    `settle` [s].
+    `lane` is the id of the lane that ends, on either side of the road; it may go on across nodes before it ends. `zone`
+    is the range of s [m] in which the group is taken over. With `across_edges` vehicles 1 and 2 may be on the edges
+    before and after that lane, too. Net gaps [m], speeds [m/s] and speed differences [m/s] of vehicles 1 and 2 to
+    vehicle 0 are limited at the end of the history, during which 1 and 2 keep their lane. The merge is complete once
+    vehicle 0 was in the target lane for `settle` [s].
     """
 
     lane: Place
     zone: tuple[Position, Position]
+    across_edges: bool = True
     min_gap: Gap = 1.0
     max_gap: PositiveGap = 45.0
     min_speed: Speed = 2.0
@@ -193,7 +195,8 @@ class Scenario(Spec, frozen=True, kw_only=True):
 
     The policy drives the roles in `driven`; SUMO drives the others. `graph` is the source of the graph. It is inferred
     at the take-over, and again every `reinfer_s` from the latest states if this is not 0. A simulation step lasts
-    `step`, and the history before the take-over `history`. The policy drives for up to `horizon`; then the group is
+    `step`; the policy decides every `policy_period`, a multiple of it (0: in every step, or as often as it was trained
+    to). The history before the take-over lasts `history`. The policy drives for up to `horizon`; then the group is
     observed for `watch`, and the next groups are taken over after a further `rest`. A run ends after `episodes` groups,
     however their drives end, or `time_limit` after the warm-up; at most `groups_at_once` are driven at the same time.
     With `surroundings` the run has a table of the vehicles around the groups. A batch leaves it out unless its
@@ -214,6 +217,7 @@ class Scenario(Spec, frozen=True, kw_only=True):
     perturbations: Annotated[tuple[Perturbation, ...], Meta(max_length=20)] = ()
     seed: Seed = 1
     step: Step = 0.2
+    policy_period: Duration = 0.0
     history: PositiveDuration = 5.0
     horizon: PositiveDuration = 8.0
     watch: Duration = AFTERMATH
@@ -229,7 +233,7 @@ class Scenario(Spec, frozen=True, kw_only=True):
             raise ValueError(f"driven is {list(self.driven)}, expected each role once")
         if self.traffic.has_own_files:
             self._check_own_files()
-        for name in ("history", "horizon", "watch", "rest", "reinfer_s"):
+        for name in ("policy_period", "history", "horizon", "watch", "rest", "reinfer_s"):
             steps = getattr(self, name) / self.step
             if abs(steps - round(steps)) > 1e-6:
                 raise ValueError(f"{name} is {getattr(self, name):g} s, expected a multiple of step = {self.step:g} s")

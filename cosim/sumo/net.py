@@ -1,13 +1,16 @@
 """The road network as SUMO reads it: edges, lanes and their positions."""
 
-import math
 from collections.abc import Sequence
+from dataclasses import replace
+from functools import cached_property
 
 import libsumo
 import numpy as np
 from jaxtyping import Float
 
-from cosim.world.road_frame import RoadFrame, without_straight_vertices
+from cosim.world.road_frame import RoadFrame
+from cosim.world.road_lanes import LaneLink, RoadLane, frame_along
+from cosim.world.road_world import LEVEL, Heights, lane_places
 from cosim.world.snapshot import LaneStrip
 
 
@@ -48,24 +51,66 @@ class Net:
         return any(link[0].rpartition("_")[0] == other for lane in lanes for link in libsumo.lane.getLinks(lane))
 
     def road(self, edges: Sequence[str], origin: str) -> RoadFrame:
-        """The road frame of a chain of edges: along the centre of its leftmost lane, s = 0 where `origin` begins."""
-        points: list[tuple[float, float]] = []
-        start = 0
-        for edge in edges:
-            shape = libsumo.lane.getShape(f"{edge}_{libsumo.edge.getLaneNumber(edge) - 1}")
-            if edge == origin:
-                start = max(len(points) - 1, 0) if points and _meet(points[-1], shape[0]) else len(points)
-            points += [point for k, point in enumerate(shape) if k or not points or not _meet(points[-1], point)]
-        line = np.array(points, dtype=float)
-        before = np.diff(line[: start + 1], axis=0)
-        return RoadFrame(without_straight_vertices(line), float(np.hypot(before[:, 0], before[:, 1]).sum()))
+        """The road frame of a chain of edges, s = 0 where `origin` begins, with the lanes of the road's world."""
+        lanes, edges = self.lanes, [*edges]
+        frame = frame_along(lanes, self.lane_count, edges, origin, mirrored=self.left_hand)
+        entering: dict[str, list[str]] = {}
+        for lane in lanes.values():
+            for link in lane.links:
+                entering.setdefault(link.via[0] if link.via else link.to, []).append(lane.id)
+        places = lane_places(lanes, entering, self.lane_count, edges, frame, self._heights)
+        everywhere = (
+            frame.is_straight and len(places) == len(lanes) and all(place.is_whole for place in places.values())
+        )
+        return frame if everywhere else replace(frame, places=places)
+
+    @cached_property
+    def lanes(self) -> dict[str, RoadLane]:
+        """All lanes, those of junctions among them."""
+        return {lane: self._lane(lane) for lane in libsumo.lane.getIDList()}
+
+    def _lane(self, lane: str) -> RoadLane:
+        edge, _, index = lane.rpartition("_")
+        links = tuple(LaneLink(link[0], _across(link[0], link[4])) for link in libsumo.lane.getLinks(lane))
+        width = libsumo.lane.getWidth(lane)
+        return RoadLane(lane, edge, int(index), self.shape(lane), self.length(lane), width, links)
+
+    @property
+    def left_hand(self) -> bool:
+        """Whether traffic drives on the left: then lane 1 of an edge is to the right of lane 0."""
+        return any(map(self._is_mirrored, (edge for edge in libsumo.edge.getIDList() if edge[0] != ":")))
+
+    def _is_mirrored(self, edge: str) -> bool:
+        if self.lane_count(edge) < 2:
+            return False
+        (outer, inner), ahead = (self.shape(f"{edge}_{k}") for k in (0, 1)), self.shape(f"{edge}_0")
+        along, aside = ahead[1] - ahead[0], inner[0] - outer[0]
+        return bool(along[0] * aside[1] - along[1] * aside[0] < 0)
+
+    @property
+    def _heights(self) -> Heights | None:
+        """The height of a lane at a position; None in a flat net."""
+        convert = libsumo.simulation.convert3D
+
+        def height(lane: str, position: float) -> float:
+            edge, _, index = lane.rpartition("_")
+            return float(convert(edge, position, int(index))[2])
+
+        found = (height(lane, 0.0) for lane in libsumo.lane.getIDList() if lane[0] != ":")
+        first = next(found, 0.0)
+        return height if any(abs(other - first) > LEVEL for other in found) else None
 
     def strip(self, lane: str, road: RoadFrame) -> LaneStrip:
         """The position of a lane in the road frame; the lane must run along the road."""
-        s, d = road.to_road(self.shape(lane))
+        shape, place = self.shape(lane), (road.places or {}).get(lane)
+        s, d = road.to_road(shape, place and (np.full(len(shape), place.low), np.full(len(shape), place.high)))
         return LaneStrip(lane, float(s[0]), float(s[-1]), float(d[-1]), libsumo.lane.getWidth(lane))
 
 
-def _meet(end: tuple[float, float], begin: tuple[float, float]) -> bool:
-    """Whether the lanes of two edges join here; net files round to centimetres, and in a bend the lanes may overlap."""
-    return math.dist(end, begin) < 0.1
+def _across(to: str, via: str) -> tuple[str, ...]:
+    """The lanes of a junction from a lane to the lane `to`, the first of which is `via`."""
+    lanes: list[str] = []
+    while via and via not in lanes:
+        lanes.append(via)
+        via = next((link[4] for link in libsumo.lane.getLinks(via) if link[0] == to), "")
+    return tuple(lanes)

@@ -52,7 +52,7 @@ class Sumo:
         self._sizes = CachedVehicleValues(lambda v: (libsumo.vehicle.getLength(v), libsumo.vehicle.getWidth(v)))
         nobody = (), np.empty(0), np.empty(0)
         self._sized: dict[bool, tuple[tuple[str, ...], np.ndarray, np.ndarray]] = {True: nobody, False: nobody}
-        self.net, self.drivers, self._positions = Net(), Drivers(self._sizes), PositionReader()
+        self.net, self.drivers, self._positions = Net(), Drivers(self._sizes), PositionReader(self.is_taken)
         self._modes: dict[str, tuple[int, int]] = {}  # (speed mode, lane-change mode) before take-over
         self._returning: dict[str, tuple[float, float]] = {}  # (time headway, minimum gap) before the hand-back
         self._shadowed: set[str] = set()  # vehicles that have a shadow vehicle

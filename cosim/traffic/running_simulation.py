@@ -10,7 +10,8 @@ from cosim.spec.scenario import Merge, Replay, Road, Scenario
 from cosim.sumo import Sumo, sumo
 from cosim.traffic.replay import RecordedVehicles
 from cosim.traffic.simulation_input import SimulationInput
-from cosim.world.groups import MergeLanes, target_lane
+from cosim.world.groups import MergeLanes
+from cosim.world.merging_lanes import merging_lanes
 from cosim.world.road_frame import RoadFrame
 from gri.errors import InputError
 
@@ -73,8 +74,5 @@ def _merge_lanes(world: Sumo, road: RoadFrame, scenario: Scenario) -> MergeLanes
     rule = scenario.group
     if not isinstance(rule, Merge):
         return None
-    known = world.net.edges()
-    for lane in (rule.lane, target_lane(rule)):
-        if lane not in known:
-            raise InputError(f"group.lane: got {rule.lane!r}, but the net has no lane {lane!r}; name the ending lane")
-    return MergeLanes(world.net.strip(rule.lane, road), world.net.strip(target_lane(rule), road))
+    net, edges = world.net, scenario.road.edges
+    return merging_lanes(net.lanes, net.lane_count, edges, rule.lane, road, across_edges=rule.across_edges)

@@ -3,11 +3,14 @@
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from jaxtyping import Int
 
 from cosim.measures.collision_detection import overlapping_pairs
 from cosim.spec.scenario import AFTERMATH
 from cosim.world.episode import CUTTER, OTHER, Contact
 from cosim.world.snapshot import Snapshot, rows_of
+
+SAME_PLACE = 50.0  # [m] along the road, beyond which vehicles in one place of the plane are on different levels
 
 
 def contacts_of(
@@ -24,13 +27,24 @@ def contacts_of(
     found: list[dict[frozenset[str], Contact]] = [{} for _ in names]
     for before, now in zip((trace[0], *trace), trace, strict=False):
         rows = rows_of(now.ids, everyone)
-        hits = overlapping_pairs(now.xy, now.heading, now.length, now.width, rows)
+        hits = touching_pairs(now, rows)
         for pair in sorted({tuple(sorted(hit)) for hit in hits.tolist()}):
             vehicles = frozenset(now.ids[row] for row in pair)
             for g, end in enumerate(ends):
                 if vehicles & members[g] and vehicles not in found[g] and now.time <= end + AFTERMATH + 1e-6:
                     found[g][vehicles] = _contact(before, now, pair, names[g], end)
     return [tuple(of.values()) for of in found]
+
+
+def touching_pairs(now: Snapshot, rows: Int[np.ndarray, " R"]) -> Int[np.ndarray, "P 2"]:
+    """Pairs of rows of vehicles in contact, the first one among `rows`.
+
+    Where a road passes over itself, vehicles far apart along it do not touch.
+    """
+    hits = overlapping_pairs(now.xy, now.heading, now.length, now.width, rows)
+    one, other = hits[:, 0], hits[:, 1]
+    near = np.abs(now.s[one] - now.s[other]) <= now.length[one] + now.length[other] + SAME_PLACE
+    return hits if near.all() else hits[near]
 
 
 def _contact(before: Snapshot, now: Snapshot, pair: tuple[int, ...], names: Mapping[str, str], end: float) -> Contact:

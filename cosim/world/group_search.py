@@ -9,7 +9,7 @@ import numpy as np
 
 from cosim.measures.surrogate_safety import net_gap
 from cosim.spec.scenario import CarFollowing, Merge
-from cosim.world.groups import SAME_LANE, Group, next_ahead, target_lane
+from cosim.world.groups import SAME_LANE, Group, MergeLanes, next_ahead
 from cosim.world.snapshot import Snapshot
 
 OUTSIDE = "outside the study area"
@@ -41,16 +41,21 @@ def search_groups(
     zone: tuple[float, float],
     barred: Mapping[str, str],
     limit: int,
+    lanes: MergeLanes | None = None,
 ) -> GroupSearch:
     """Up to `limit` groups that fit the rule, the one farthest ahead first; no vehicle is in two groups.
 
     All vehicles of a group are within `zone` (the range of s [m]) at the end of the history. None is `barred`, which
-    says why a vehicle cannot be in a group.
+    says why a vehicle cannot be in a group. `lanes` are those of a merge rule.
     """
     now = history[-1]
     outside = {v: OUTSIDE for v, s in zip(now.ids, now.s, strict=True) if not zone[0] <= s <= zone[1]}
     barred = {**barred, **outside}
-    candidates = _chains(history, rule, barred) if isinstance(rule, CarFollowing) else _merges(history, rule, barred)
+    if isinstance(rule, CarFollowing):
+        candidates = _chains(history, rule, barred)
+    else:
+        assert lanes is not None, "a merge takes place between two lanes"
+        candidates = _merges(history, rule, barred, lanes)
     seen, fitting, failed = 0, [], Counter[str]()
     for ids, failure in candidates:
         seen += 1
@@ -133,17 +138,17 @@ def _unsteady(history: Sequence[Snapshot], ids: Ids, rule: CarFollowing) -> str:
     return ""
 
 
-def _merges(history: Sequence[Snapshot], rule: Merge, barred: Mapping[str, str]) -> Candidates:
-    """Vehicles on the ending lane with a lag vehicle and a leader in the lane to their left."""
-    now, rows, target = history[-1], history[-1].row_of, target_lane(rule)
-    beside = sorted((now.s[row], vehicle) for vehicle, row in rows.items() if now.lane[row] == target)
-    for merger in (vehicle for vehicle, row in rows.items() if now.lane[row] == rule.lane):
+def _merges(history: Sequence[Snapshot], rule: Merge, barred: Mapping[str, str], lanes: MergeLanes) -> Candidates:
+    """Vehicles on the ending lane with a lag vehicle and a leader in the lane beside them."""
+    now, rows, sources, targets = history[-1], history[-1].row_of, lanes.source_ids, lanes.target_ids
+    beside = sorted((now.s[row], vehicle) for vehicle, row in rows.items() if now.lane[row] in targets)
+    for merger in (vehicle for vehicle, row in rows.items() if now.lane[row] in sources):
         if not rule.zone[0] <= now.s[rows[merger]] <= rule.zone[1]:
             yield None, f"outside the zone {list(rule.zone)} m"
             continue
         ahead = int(np.searchsorted([s for s, _ in beside], now.s[rows[merger]]))
         if not 0 < ahead < len(beside):
-            yield None, f"no vehicle behind or ahead on lane {target}"
+            yield None, f"no vehicle behind or ahead on lane {lanes.target.lane}"
             continue
         ids = merger, beside[ahead - 1][1], beside[ahead][1]
         reason = next((barred[vehicle] for vehicle in ids if vehicle in barred), "")

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Int
+from jaxtyping import Float, Int
 
 from cosim.spec.scenario import CarFollowing, Merge
 from cosim.world.snapshot import LaneStrip, Snapshot
@@ -26,22 +26,53 @@ class Group:
 
 
 @dataclass(frozen=True)
+class LanePair:
+    """A lane that ends and the lane beside it, up to `end` [m] of s."""
+
+    source: str
+    target: str
+    end: float
+
+
+@dataclass(frozen=True)
 class MergeLanes:
-    """The lane that ends (`source`) and the lane to its left into which vehicles merge (`target`)."""
+    """The lane that ends (`source`) and the lane beside it into which vehicles merge (`target`).
+
+    `side` is 1 where the target is on the side of larger d, and −1 where it is on the other one. Both lanes may go on
+    across nodes: `pairs` are the lanes one after the other. `targets` are the lanes on which lag vehicle and leader may
+    be. Empty means the one lane each. `ends` is off where the source goes on along the road all the same.
+    """
 
     source: LaneStrip
     target: LaneStrip
+    side: int = 1
+    pairs: tuple[LanePair, ...] = ()
+    targets: frozenset[str] = frozenset()
+    ends: bool = True
 
     @property
     def boundary(self) -> float:
         """Lateral position d [m] of the line between them."""
-        return self.target.centre - 0.5 * self.target.width
+        return self.target.centre - self.side * 0.5 * self.target.width
 
+    def beyond(self, d: Float[np.ndarray, "*n"] | float) -> Float[np.ndarray, "*n"] | float:
+        """How far [m] a place at d is beyond that line, on the side of the target."""
+        return self.side * (d - self.boundary)
 
-def target_lane(rule: Merge) -> str:
-    """Id of the lane to the left of the one that ends."""
-    edge, _, index = rule.lane.rpartition("_")
-    return f"{edge}_{int(index) + 1}"
+    def at(self, s: float) -> LanePair:
+        """The two lanes at s [m]."""
+        last = LanePair(self.source.lane, self.target.lane, self.source.end)
+        return next((pair for pair in self.pairs if s < pair.end), self.pairs[-1] if self.pairs else last)
+
+    @property
+    def source_ids(self) -> frozenset[str]:
+        """The lanes on which merging vehicles are."""
+        return frozenset({self.source.lane, *(pair.source for pair in self.pairs)})
+
+    @property
+    def target_ids(self) -> frozenset[str]:
+        """The lanes on which lag vehicle and leader are."""
+        return self.targets or frozenset({self.target.lane})
 
 
 def order_of(rule: CarFollowing | Merge) -> tuple[int, int, int]:

@@ -8,11 +8,12 @@ import pytest
 
 from cosim.spec.scenario import CarFollowing, Merge
 from cosim.world.group_search import GroupSearch, search_groups, why_not_more
-from cosim.world.groups import next_ahead
-from cosim.world.snapshot import Snapshot
+from cosim.world.groups import MergeLanes, next_ahead
+from cosim.world.snapshot import LaneStrip, Snapshot
 
 RULE = CarFollowing(min_gap=2, max_gap=45, max_time_gap=2.5, min_speed=1)
 ZONE = (0.0, 600.0)
+LANES = MergeLanes(LaneStrip("e_0", 0.0, 600.0, 0.0, 3.5), LaneStrip("e_1", 0.0, 600.0, 3.5, 3.5))
 
 
 def traffic(*vehicles: tuple[str, float, float], time: float = 0.0, v: float = 10.0, lanes=None) -> Snapshot:
@@ -35,7 +36,7 @@ def traffic(*vehicles: tuple[str, float, float], time: float = 0.0, v: float = 1
 
 
 def search(history, rule: CarFollowing | Merge = RULE, limit=9, barred=()) -> GroupSearch:
-    return search_groups(history, rule, zone=ZONE, barred=dict.fromkeys(barred, "barred"), limit=limit)
+    return search_groups(history, rule, zone=ZONE, barred=dict.fromkeys(barred, "barred"), limit=limit, lanes=LANES)
 
 
 def pick(history, rule: CarFollowing | Merge = RULE, limit=9, barred=()):
