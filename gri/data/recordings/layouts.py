@@ -71,11 +71,9 @@ def find_layout(path: Path, inside: Sequence[Member], options: ReadingOptions) -
         seen[str(member)] = columns
     first = list(seen.items())[:2]
     shown = "; ".join(f"{name} has {', '.join(columns[:8]) or 'no columns'}" for name, columns in first)
-        f"{name} has {', '.join(columns[:8]) or 'no columns'}" for name, columns in list(seen.items())[:2]
-    )
     raise InputError(
-        f"{path}: not a known layout: {shown}; give --layout ({', '.join(NAMES)}), or name the columns of the tidy table:"
-        " --map time_s=COLUMN --map vehicle_id=COLUMN --map s_m=COLUMN --map lane=COLUMN"
+        f"{path}: not a known layout: {shown}; give --layout ({', '.join(NAMES)}), or name the columns of the tidy"
+        " table: --map time_s=COLUMN --map vehicle_id=COLUMN --map s_m=COLUMN --map lane=COLUMN"
     )
 
 
