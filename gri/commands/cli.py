@@ -8,6 +8,7 @@ from gri.commands.bench import app as bench_app
 from gri.commands.models import data, evaluate, teach, train
 from gri.commands.ngsim import app as ngsim_app
 from gri.commands.reproduce import reproduce
+from gri.commands.scenes import app as scenes_app
 from gri.errors import InputError
 from gri.terminal import fail, show_version
 
@@ -15,6 +16,7 @@ from gri.terminal import fail, show_version
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
 for _command in (data, train, teach, evaluate, reproduce):
     app.command()(_command)
+app.add_typer(scenes_app, name="scenes")
 app.add_typer(ngsim_app, name="ngsim")
 app.add_typer(bench_app, name="bench")
 

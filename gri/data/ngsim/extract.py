@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from importlib.metadata import version
 from itertools import chain
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal, Protocol
 
 import msgspec
 import numpy as np
@@ -43,6 +43,24 @@ class Extracted:
     """Data report of each recording."""
 
 
+class CountedRecordings(Protocol):
+    """Recordings, one after the other, and how many there are."""
+
+    def __iter__(self) -> Iterator[Recording]: ...
+
+    def __len__(self) -> int: ...
+
+
+@dataclass(frozen=True)
+class RecordingsDoor:
+    """How files are opened that have another layout than NGSIM's (`gri.data.recordings`)."""
+
+    open: Callable[[Path, Path], CountedRecordings]
+    """From a file and a folder for temporary files to its recordings: they can be counted and iterated over."""
+    provenance: dict[str, Any]
+    """Goes to the header of the scene file."""
+
+
 def inspect(
     path: Path, site: str | None = None, progress: Progress = no_progress
 ) -> tuple[list[Quality], dict[str, int]]:
@@ -63,10 +81,12 @@ def extract(
     kinds: Sequence[Kind] = KINDS,
     site: str | None = None,
     progress: Progress = no_progress,
+    door: RecordingsDoor | None = None,
 ) -> Extracted:
     """Write the scenes of the files to the scene file `out`. The same files, rules and versions give the same bytes.
 
-    `kinds` are the kinds of scenes wanted; `site` overrides the site that the files name.
+    `kinds` are the kinds of scenes wanted; `site` overrides the site that the files name. `door` opens files of other
+    layouts; without it, they have NGSIM's.
 
     Errors: `InputError` if a file cannot be read, its units are not feet and seconds, or no scene obeys the rules.
     """
@@ -87,15 +107,22 @@ def extract(
                 write(part)
                 scenes.update((str(part.source[0]), kind, str(split)) for split in part.split)
 
-    with writing(out, _header(paths, rules, kinds, site)) as write:
+    door = door or RecordingsDoor(
+        lambda path, folder: store_recordings(path, folder, site, progress), _provenance(paths, rules, kinds, site)
+    )
+    with writing(out, Header(dt=rules.smoothing.dt, provenance={"made by": _program(), **door.provenance})) as write:
         for path in paths:
             with tempfile.TemporaryDirectory(prefix="gri-ngsim-") as folder:
-                store = store_recordings(path, Path(folder), site, progress)
+                store = door.open(path, Path(folder))
                 for done, recording in enumerate(store):
                     extract_recording(recording, write)
-                    progress(f"cutting {path.name}", done + 1, len(store.row_counts), float(scenes.total()))
+                    progress(f"cutting {path.name}", done + 1, len(store), float(scenes.total()))
         if not scenes:
-            raise InputError(f"{', '.join(map(str, paths))}: no scene obeys the rules; see `gri ngsim inspect`")
+            found = ", ".join(f"{count} × {reason}" for (_, reason), count in rejected.most_common(3) if count)
+            raise InputError(
+                f"{', '.join(map(str, paths))}: no scene obeys the rules ({found or 'no candidates'}); see"
+                " `gri scenes inspect`"
+            )
     return Extracted(scenes, rejected, tuple(reports))
 
 
@@ -208,10 +235,13 @@ def _block(
     )
 
 
-def _header(paths: Sequence[Path], rules: Rules, kinds: Sequence[Kind], site: str | None) -> Header:
+def _provenance(paths: Sequence[Path], rules: Rules, kinds: Sequence[Kind], site: str | None) -> dict[str, Any]:
     files = [{"name": path.name, "sha256": _sha256(path)} for path in paths]
-    made = {"files": files, "rules": msgspec.to_builtins(rules), "kinds": list(kinds), "site": site}
-    return Header(dt=rules.smoothing.dt, provenance={"made by": f"gri-cosim {version('gri-cosim')}", "ngsim": made})
+    return {"ngsim": {"files": files, "rules": msgspec.to_builtins(rules), "kinds": list(kinds), "site": site}}
+
+
+def _program() -> str:
+    return f"gri-cosim {version('gri-cosim')}"
 
 
 def _sha256(path: Path) -> str:

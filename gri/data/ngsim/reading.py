@@ -1,8 +1,8 @@
 """Reading NGSIM files as a stream of tables, so that a file need not fit into memory.
 
-Two formats are read: the official text (18 columns separated by spaces, no header), and comma-separated values with a
-header, such as the data portal's export of all sites. Files may be plain, gzip, or zip with one member. Numbers may
-have thousands separators.
+Two formats are read: the official text (18 columns separated by spaces, no header), and separated values with a header,
+such as the data portal's export of all sites. Files may be plain, gzip, or zip with one member. Numbers may have
+thousands separators, or decimal commas where columns are not separated by commas.
 """
 
 import gzip
@@ -18,6 +18,8 @@ from typing import Any, BinaryIO, cast
 import pandas as pd
 
 from gri.data.ngsim.columns import LOCATION_COLUMN, OFFICIAL_COLUMNS, REQUIRED_COLUMNS, canonical_name
+from gri.data.recordings.files import JUNK
+from gri.data.recordings.text_tables import SEPARATORS
 from gri.errors import InputError
 from gri.progress import Progress, no_progress
 
@@ -30,11 +32,14 @@ _FIX = "download the file again, or give one that has the official columns"
 
 @dataclass(frozen=True)
 class TextLayout:
-    """Column names as in the file, whether the first line is a header, and the separator (a regular expression)."""
+    """Column names as in the file, whether the first line is a header, and how the text is written."""
 
     names: tuple[str, ...]
     header: bool
     separator: str
+    """A regular expression for spaces."""
+    decimal: str = "."
+    encoding: str = "utf-8"
 
 
 def read_chunks(path: Path, progress: Progress = no_progress) -> Iterator[pd.DataFrame]:
@@ -99,12 +104,13 @@ class _Bounded(io.RawIOBase):
 def _tables(text: "io.BufferedReader[Any]", layout: TextLayout) -> Iterator[pd.DataFrame]:
     wanted = {name for name in layout.names if canonical_name(name) in (*REQUIRED_COLUMNS, LOCATION_COLUMN)}
     reader = pd.read_csv(
-        text,
+        text if layout.encoding == "utf-8" else cast(Any, io.TextIOWrapper(text, layout.encoding, newline="")),
         sep=layout.separator,
+        decimal=layout.decimal,
         header=0 if layout.header else None,
         names=list(layout.names),
         usecols=lambda name: name in wanted,
-        thousands=",",
+        thousands="," if layout.decimal == "." else None,
         skipinitialspace=True,
         chunksize=CHUNK,
         low_memory=False,
@@ -127,6 +133,7 @@ def _decompressed(raw: BinaryIO, path: Path) -> Iterator[BinaryIO]:
     elif start == b"PK\x03\x04":
         with zipfile.ZipFile(raw) as archive:
             members = [name for name in archive.namelist() if name.lower().endswith((".txt", ".csv"))]
+            members = [name for name in members if not JUNK.search(name)]
             if len(members) != 1:
                 names = ", ".join(members[:5]) or "none"
                 raise InputError(f"{path}: got {len(members)} text files in it ({names}), wanted one; unpack it first")
@@ -137,9 +144,12 @@ def _decompressed(raw: BinaryIO, path: Path) -> Iterator[BinaryIO]:
 
 
 def _detect_layout(text: "io.BufferedReader[Any]", path: Path) -> TextLayout:
-    first = text.peek(1 << 16).split(b"\n", 1)[0].decode("utf-8-sig", errors="replace").strip()
-    comma = "," in first
-    cells = [cell.strip() for cell in (first.split(",") if comma else first.split())]
+    start = text.peek(1 << 16)
+    encoding = "utf-16" if start[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8"
+    lines = start.decode("utf-16" if encoding == "utf-16" else "utf-8-sig", errors="replace").split("\n", 2)
+    first, second = lines[0].strip(), lines[1] if len(lines) > 2 else ""
+    separator = max(SEPARATORS, key=first.count)
+    cells = [cell.strip() for cell in (first.split(separator) if separator in first else first.split())]
     header = any(character.isalpha() for character in first.replace("e+", "").replace("E+", ""))
     if not header and len(cells) != len(OFFICIAL_COLUMNS):
         raise InputError(
@@ -149,4 +159,5 @@ def _detect_layout(text: "io.BufferedReader[Any]", path: Path) -> TextLayout:
     missing = [name for name in REQUIRED_COLUMNS if name not in [canonical_name(cell) for cell in names]]
     if missing:
         raise InputError(f"{path}: column {missing[0]} is missing; {_FIX}")
-    return TextLayout(names, header, "," if comma else r"\s+")
+    commas = separator in ";\t|" and separator in first and "," in second and "." not in second
+    return TextLayout(names, header, separator if separator in first else r"\s+", "," if commas else ".", encoding)

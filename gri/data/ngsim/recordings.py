@@ -23,6 +23,10 @@ from gri.progress import Progress, no_progress
 
 MAX_RECORDINGS = 500
 """A file with more values of the clock has an error in its columns."""
+ROUNDED = 1000
+"""Values of Global_Time that are all multiples of so many ms are rounded [ms]."""
+MAX_CLOCKS = 20_000
+"""The same for a file with a rounded clock."""
 ROW_TYPE = np.dtype(
     [
         ("vehicle", "i4"), ("frame", "i4"), ("x", "f4"), ("y", "f4"), ("length", "f4"), ("width", "f4"),
@@ -50,11 +54,13 @@ class Recording:
     clock: int
     """Global_Time − 100·Frame_ID [ms]."""
     rows: np.ndarray
+    label: str = ""
+    """Name of the recording in a file of another layout (`gri.data.recordings`)."""
 
     @property
     def name(self) -> str:
-        """`SITE@CLOCK`."""
-        return f"{self.site}@{self.clock}"
+        """`SITE@CLOCK`, or `SITE@LABEL`."""
+        return f"{self.site}@{self.label or self.clock}"
 
 
 @dataclass
@@ -66,11 +72,33 @@ class RecordingStore:
     """Number of rows of every (site, clock)."""
     unreadable: Counter[str] = field(default_factory=Counter)
     """Number of rows of each site with a cell that is not a number; such rows are left out."""
+    resolution: int = 0
+    """Greatest common divisor of all values of Global_Time [ms]: 100 in official files."""
 
     def __iter__(self) -> Iterator[Recording]:
         """The recordings, ordered by site and clock."""
+        for parts in self._recordings():
+            rows = np.concatenate([np.fromfile(self._path(part), ROW_TYPE) for part in parts])
+            yield Recording(*parts[0], rows)
+
+    def __len__(self) -> int:
+        return len(self._recordings())
+
+    @property
+    def is_rounded(self) -> bool:
+        """Whether Global_Time is rounded to seconds or more, as spreadsheets do."""
+        return self.resolution >= ROUNDED
+
+    def _recordings(self) -> list[list[tuple[str, int]]]:
+        """The clocks of each recording. One recording has one, or all that rounding spreads over, if it is rounded."""
+        found: list[list[tuple[str, int]]] = []
         for site, clock in sorted(self.row_counts):
-            yield Recording(site, clock, np.fromfile(self._path((site, clock)), ROW_TYPE))
+            near = found and found[-1][0][0] == site and clock - found[-1][0][1] <= self.resolution
+            if self.is_rounded and near:
+                found[-1].append((site, clock))
+            else:
+                found.append([(site, clock)])
+        return found
 
     def append(self, key: tuple[str, int], rows: np.ndarray) -> None:
         """Append rows to the recording (site, clock)."""
@@ -105,11 +133,13 @@ def store_recordings(
         for name, count in sites.loc[~readable].value_counts().items():
             store.unreadable[str(name)] += int(count)
         table, sites = table.loc[readable], sites.loc[readable]
+        times = table["global_time"].round().astype("int64").unique()
+        store.resolution = int(np.gcd.reduce(np.r_[store.resolution, times]))
         clock = (table["global_time"] - 100 * table["frame_id"]).round().astype("int64")
         for name in sites.unique():
             for time in clock[sites == name].unique():
                 store.append((str(name), int(time)), _as_rows(table.loc[(sites == name) & (clock == time)]))
-        if len(store.row_counts) > MAX_RECORDINGS:
+        if len(store.row_counts) > (MAX_CLOCKS if store.is_rounded else MAX_RECORDINGS):
             raise InputError(
                 f"{path}: Global_Time - 100 x Frame_ID has more than {MAX_RECORDINGS} values, wanted one per "
                 "recording; give a file whose two columns belong together"

@@ -50,7 +50,7 @@ class Rules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     seed: int = 0
     """Seed of the sampled lateral motion."""
     block: int = 100
-    """Vehicles are assigned to splits in blocks of so many successive numbers."""
+    """Vehicles are assigned to splits in blocks of so many successive numbers; 0: all are for testing."""
 
     def checked(self) -> "Rules":
         """These rules. Errors: `InputError` if their values contradict each other or are out of range."""
@@ -72,6 +72,8 @@ def splits_of(vehicle: np.ndarray, rules: Rules) -> np.ndarray:
     numbered as they enter, so a block is also a period of time. A vehicle that is in two recordings under the same
     number is in one split.
     """
+    if not rules.block:
+        return np.full(vehicle.shape, "test")
     return np.array(SPLITS)[(vehicle // rules.block) % len(SPLITS)]
 
 

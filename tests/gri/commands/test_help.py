@@ -7,7 +7,7 @@ import pytest
 from gri.commands.cli import app
 from tests import help_pages
 
-UNITS = {("ngsim scenes", "[m]")}
+UNITS = {("ngsim scenes", "[m]"), ("scenes make", "[m]"), ("scenes inspect", "[m]")}
 
 
 @pytest.fixture(scope="module")
@@ -31,6 +31,7 @@ def test_commands_stand_in_the_order_in_which_one_uses_them(pages):
         "teach",
         "evaluate",
         "reproduce",
+        "scenes",
         "ngsim",
         "bench",
     ]
@@ -41,6 +42,7 @@ def test_commands_stand_in_the_order_in_which_one_uses_them(pages):
     [
         (["--help"], 0, "evaluate"),
         (["ngsim", "scenes", "--help"], 0, "--window"),
+        (["scenes", "make", "--help"], 0, "--split"),
         (["--version"], 0, "gri 0."),
         (["fly"], 2, "No such command"),
         (["train", "no_such_configuration"], 2, "paper_car_following"),
