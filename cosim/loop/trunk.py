@@ -2,7 +2,6 @@
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 from cosim.loop.driving import drive, start_round
 from cosim.loop.intervention import NoIntervention
@@ -10,6 +9,7 @@ from cosim.loop.round_recorder import Round
 from cosim.loop.vehicles_ahead import SpeedRecord, vehicles_ahead
 from cosim.spec.scenario import Scenario
 from cosim.traffic.running_simulation import RunningSimulation
+from cosim.world.backlog import Backlog
 from cosim.world.episode import Episode
 from cosim.world.group_search import GroupSearch, search_groups
 from cosim.world.snapshot import Snapshot
@@ -18,24 +18,7 @@ Progress = Callable[[str, int, int], None]
 """Called with (what is done, how much is done, of how much)."""
 BETWEEN_ATTEMPTS = 1.0  # [s] between two attempts to find groups
 WARM_UP_CHUNKS = 50  # how often progress is reported during the warm-up
-MANY_WAITING = 20  # vehicles outside the net, from which on the road is said to be full
-
-
-@dataclass(frozen=True)
-class Backlog:
-    """Vehicles that could not enter the net at their departure time and wait outside.
-
-    `since` [s] is the time since which there have always been MANY_WAITING or more; None where there are fewer now.
-    """
-
-    waiting: int = 0
-    since: float | None = None
-
-    def updated(self, waiting: int, time: float) -> "Backlog":
-        """The backlog after it was counted again."""
-        if waiting < MANY_WAITING:
-            return Backlog(waiting)
-        return Backlog(waiting, time if self.since is None else self.since)
+FASTEST = 70.0  # [m/s], of any vehicle
 
 
 class Trunk:
@@ -73,16 +56,19 @@ class Trunk:
         """Run on until a history is complete, and return it.
 
         At first, and after each round, that takes the scenario's rest and a whole history. Otherwise the history moves
-        on by `BETWEEN_ATTEMPTS`.
+        on by `BETWEEN_ATTEMPTS`. Its last snapshot has all vehicles, the others have those that could be in a group.
         """
-        steps = self._scenario.steps
-        wanted = steps(self._scenario.history)
+        scenario, running, steps = self._scenario, self._running, self._scenario.steps
+        way = FASTEST * scenario.history
+        span = -way, scenario.road.length + way
+        wanted = steps(scenario.history)
         if not self._history:
-            for _ in range(steps(self._scenario.rest)):
+            for _ in range(steps(scenario.rest)):
                 self._step()
-        for _ in range(max(wanted - len(self._history), steps(BETWEEN_ATTEMPTS), 1)):
+        more = max(wanted - len(self._history), steps(BETWEEN_ATTEMPTS), 1)
+        for k in range(more):
             self._step()
-            self._history.append(self._running.world.snapshot(self._running.frame))
+            self._history.append(running.world.snapshot(running.frame, span=None if k == more - 1 else span))
         self._count_waiting()
         return tuple(self._history)
 
