@@ -136,7 +136,7 @@ def _with_target(scenario: "Scenario", target_speed: float | None) -> "Scenario"
 def realism(
     subject: Annotated[str, typer.Argument(metavar="SCENARIO|RUN", help="A scenario, or a run folder.")],
     against: Annotated[
-        Path, typer.Option(help="The recording: an NGSIM file, a scene file, or a Parquet table of samples.")
+        Path, typer.Option(help="A recording of any layout (docs/recordings.md), a scene file, or a table of samples.")
     ],
     stretch: Annotated[
         tuple[float, float] | None,
