@@ -82,7 +82,7 @@ def run(
     ] = None,
     seed: SeedOption = None,
     episodes: Annotated[int | None, typer.Option(help="Number of episodes to use instead of the scenario's.")] = None,
-    recording: Annotated[Path | None, typer.Option(help="The NGSIM file that the scenario replays.")] = None,
+    recording: Annotated[Path | None, typer.Option(help="The recording that the scenario replays.")] = None,
     out: Annotated[Path | None, typer.Option(help="Run folder to write; default: a new one in runs/.")] = None,
     settings: SetOption = None,
     max_work: MaxWorkOption = None,

@@ -154,7 +154,7 @@ def run(
             YAML file would hold; or an object that has the attributes of `gri.Policy`.
         seed: replaces the scenario's seed.
         episodes: replaces the scenario's number of episodes.
-        recording: the NGSIM file to replay, for scenarios with a recorded background.
+        recording: the recording to replay, for scenarios with a recorded background.
         overrides: other top-level fields of the scenario to replace, such as `{"horizon": 4.0}`.
         settings: changes of single fields at any depth, such as `["group.max_gap=20"]`; values are written as in YAML.
         folder: where to write the run; by default a new folder in `runs/`.

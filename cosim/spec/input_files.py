@@ -73,13 +73,13 @@ def input_files(scenario: Scenario) -> dict[str, Path]:
 
 
 def recording_path(background: Replay) -> Path:
-    """The NGSIM file that a background replays. Raises `InputError` if there is none."""
+    """The recording that a background replays. Raises `InputError` if there is none."""
     if not background.recording:
         raise InputError("background.recording: the scenario names no recording; give one with --recording FILE")
     path = Path(background.recording)
     if not is_file(path):
         raise InputError(
-            f"background.recording: no file {path} (looked in {Path.cwd()}); give an NGSIM trajectory file"
+            f"background.recording: no file {path} (looked in {Path.cwd()}); give a recording (docs/recordings.md)"
         )
     return path
 

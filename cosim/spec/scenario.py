@@ -132,11 +132,12 @@ class SimulatedTraffic(Spec, frozen=True, kw_only=True, tag_field="kind", tag="s
 
 
 class Replay(Spec, frozen=True, kw_only=True, tag_field="kind", tag="replay"):
-    """The vehicles of an NGSIM file move as recorded; only routes and drivers of `traffic` are used.
+    """The vehicles of a recording move as recorded; only routes and drivers of `traffic` are used.
 
-    s = 0 of the road is at Local_Y = −`entry` [m]. Its reference line is at Local_X = `lane_1` [m], the centre of the
-    leftmost lane. `flows` maps a lane (NGSIM's number) to a flow: a vehicle that is first recorded in this lane gets
-    the route and class of the flow, any other vehicle those of the first flow. SUMO uses them after the hand-back.
+    Any layout of docs/recordings.md will do. s = 0 of the road is at s_m = −`entry` [m] (NGSIM: Local_Y). Its reference
+    line is at d_m = −`lane_1` [m] (NGSIM: Local_X), the centre of the leftmost lane. `flows` maps a lane's number to a
+    flow: a vehicle that is first recorded in this lane gets the route and class of the flow, any other vehicle those of
+    the first flow. SUMO uses them after the hand-back.
     """
 
     recording: Annotated[str, Meta(max_length=1000)] = ""
