@@ -24,7 +24,6 @@ from stable_baselines3.common.vec_env import VecEnv
 
 from cosim.environments import DrivingVectorEnv, save_network  # the import registers the environments
 
-SCENARIO = "us101_merge"
 TRAINING_SEED, HELD_OUT_SEED = 1, 11
 Choose = Callable[[np.ndarray], np.ndarray]
 
@@ -120,6 +119,7 @@ def save(model: PPO, file: Path, step: float) -> None:
 def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     arguments.add_argument("--out", type=Path, default=Path("runs/ppo_merge"))
+    arguments.add_argument("--scenario", default="us101_merge")
     arguments.add_argument("--steps", type=int, default=30_000)
     arguments.add_argument("--minutes", type=float, default=110.0)
     arguments.add_argument("--starts", type=int, default=60, help="of the training traffic")
@@ -130,7 +130,7 @@ def main() -> None:
     torch.set_num_threads(1)
 
     shorter = {"seed": TRAINING_SEED, "episodes": given.starts, "horizon": 10.0, "watch": 2.0}
-    train = Episodes(DrivingVectorEnv(SCENARIO, given.parallel, overrides=shorter))
+    train = Episodes(DrivingVectorEnv(given.scenario, given.parallel, overrides=shorter))
     model = PPO(
         "MlpPolicy",
         train,
@@ -148,7 +148,7 @@ def main() -> None:
     save(model, given.out / "policy.npz", step=0.2)
 
     changes = {"seed": HELD_OUT_SEED, "episodes": given.evaluate}
-    held_out = gymnasium.make(f"cosim/{SCENARIO}-v1", overrides=changes)
+    held_out = gymnasium.make("cosim/scenario-v1", scenario=given.scenario, overrides=changes)
     held_out.action_space.seed(1)
     policies: dict[str, Choose] = {
         "ppo": lambda observation: model.predict(observation, deterministic=True)[0],

@@ -91,6 +91,11 @@ def reward_of(
     return Reward(weights, {name: cost for name, cost in costs.items() if name in weights})
 
 
+def step_terms(rule: GroupRule, role: int) -> tuple[str, ...]:
+    """The names of all step terms of a role under a group rule."""
+    return tuple(_costs(rule, role, None))
+
+
 def _costs(rule: GroupRule, role: int, lane_width: float | None) -> dict[str, Cost]:
     if isinstance(rule, Merge):
         width = LaneConstants().width if lane_width is None else lane_width

@@ -52,6 +52,7 @@ MERGE = {
     "time_limit": 300,
 }
 FOLLOWING = MERGE | {"group": {"rule": "car_following"}, "horizon": 2.0}
+SCENARIOS = {"merge": MERGE, "following": FOLLOWING}
 
 
 @pytest.fixture(scope="session")
@@ -62,7 +63,7 @@ def folder(tmp_path_factory) -> Path:
         (place / name).write_text(text)
     command = "netconvert -n road.nod.xml -e road.edg.xml -x road.con.xml -o road.net.xml"
     subprocess.run(command.split(), cwd=place, check=True, capture_output=True)
-    for name, content in {"merge": MERGE, "following": FOLLOWING}.items():
+    for name, content in SCENARIOS.items():
         (place / f"{name}.yaml").write_text(yaml.safe_dump({"net": "road.net.xml", **content}))
     return place
 
