@@ -8,7 +8,6 @@ import gymnasium
 import numpy as np
 
 from cosim.environments.actions import ActionKind
-from cosim.environments.episodes import Traffic
 from cosim.environments.task import Episode, Starts, task_of
 from cosim.spec.scenario import Scenario
 from gri.errors import InputError
@@ -48,10 +47,8 @@ class DrivingEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         self._role, self.render_mode = role, render_mode
         self.observation_space = self._task.observation_space(role)
         self.action_space = self._task.action_space()
-        self._traffic: Traffic | None = None
-        self._starts: Starts | None = None
+        self._starts = Starts(self._task.scenario)
         self._episode: Episode | None = None
-        self._owns_traffic = True
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -62,14 +59,11 @@ class DrivingEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         """
         super().reset(seed=seed)
         self._end_episode()
-        if self._starts is None:
-            self._traffic = Traffic(self._task.scenario)
-            self._starts = Starts(self._traffic)
         if seed is not None:
             self._starts.forget()
-        number, start = self._starts.next(self.np_random, options)
+        start, info = self._starts.next(self.np_random, options)
         self._episode = Episode(self._task, start, start.begin())
-        return self._episode.observations[self._role], self._starts.facts(number, start)
+        return self._episode.observations[self._role], info
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Drive for one step.
@@ -95,18 +89,15 @@ class DrivingEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         if self._episode is None:
             raise InputError("branch: no episode is under way; call reset first")
         other = copy.copy(self)
-        other._owns_traffic = False
         other._np_random = copy.deepcopy(self.np_random)
-        other._starts = None if self._starts is None else self._starts.copy()
+        other._starts = self._starts.copy()
         other._episode = self._episode.branch()
         return other
 
     def close(self) -> None:
-        """End the episode, and the traffic where this environment started it."""
+        """End the episode, and the traffic unless this is a branch."""
         self._end_episode()
-        if self._traffic is not None and self._owns_traffic:
-            self._traffic.close()
-        self._traffic = self._starts = None
+        self._starts.close()
 
     def _end_episode(self) -> None:
         if self._episode is not None:

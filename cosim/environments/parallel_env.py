@@ -10,7 +10,6 @@ from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
 from cosim.environments.actions import ActionKind
-from cosim.environments.episodes import Traffic
 from cosim.environments.task import Episode, Starts, task_of
 from cosim.spec.scenario import Scenario
 from gri.errors import InputError
@@ -44,10 +43,8 @@ class GroupEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         self.action_spaces = {name: self._task.action_space() for name in self.possible_agents}
         self.render_mode = render_mode
         self._random: np.random.Generator | None = None
-        self._traffic: Traffic | None = None
-        self._starts: Starts | None = None
+        self._starts = Starts(self._task.scenario)
         self._episode: Episode | None = None
-        self._owns_traffic = True
 
     def observation_space(self, agent: str) -> Space[np.ndarray]:
         """The space of what an agent observes."""
@@ -62,17 +59,13 @@ class GroupEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
     ) -> tuple[dict[str, np.ndarray], dict[str, dict[str, Any]]]:
         """Begin an episode, as `DrivingEnv.reset` does."""
         self._end_episode()
-        if self._starts is None:
-            self._traffic = Traffic(self._task.scenario)
-            self._starts = Starts(self._traffic)
         if seed is not None or self._random is None:
             self._random, _ = seeding.np_random(seed)
             self._starts.forget()
-        number, start = self._starts.next(self._random, options)
+        start, info = self._starts.next(self._random, options)
         self._episode = Episode(self._task, start, start.begin())
         self.agents = [*self.possible_agents]
-        infos = {name: self._starts.facts(number, start) for name in self.possible_agents}
-        return self._by_name(self._episode.observations), infos
+        return self._by_name(self._episode.observations), {name: dict(info) for name in self.possible_agents}
 
     def step(
         self, actions: dict[str, np.ndarray]
@@ -96,19 +89,16 @@ class GroupEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         if self._episode is None:
             raise InputError("branch: no episode is under way; call reset first")
         other = copy.copy(self)
-        other._owns_traffic = False
         other.agents = [*self.agents]
         other._random = copy.deepcopy(self._random)
-        other._starts = None if self._starts is None else self._starts.copy()
+        other._starts = self._starts.copy()
         other._episode = self._episode.branch()
         return other
 
     def close(self) -> None:
-        """End the episode, and the traffic where this environment started it."""
+        """End the episode, and the traffic unless this is a branch."""
         self._end_episode()
-        if self._traffic is not None and self._owns_traffic:
-            self._traffic.close()
-        self._traffic = self._starts = None
+        self._starts.close()
 
     def _end_episode(self) -> None:
         if self._episode is not None:

@@ -1,5 +1,6 @@
 """What both kinds of environments share: the scenario, who drives, and how a step of an episode is judged."""
 
+import copy
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -147,35 +148,46 @@ class Episode:
 
 
 class Starts:
-    """Draws the starts of episodes from the traffic, by a seed; every start comes once before one comes again."""
+    """Draws the starts of episodes from the traffic of a scenario; every start comes once before one comes again.
 
-    def __init__(self, traffic: Traffic) -> None:
-        self._traffic = traffic
+    The first draw warms the traffic up.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._scenario = scenario
+        self._traffic: Traffic | None = None
         self._order: list[int] = []
+        self._is_copy = False
 
-    def next(self, random: np.random.Generator, options: Mapping[str, Any] | None) -> tuple[int, Start]:
-        """The number of the next start, or of the one that the options choose ("start"), and the start itself."""
-        starts, chosen = self._traffic.starts, (options or {}).get("start")
-        if chosen is not None:
-            if not isinstance(chosen, int | np.integer) or not 0 <= chosen < len(starts):
-                raise InputError(f"reset: got start {chosen!r}, expected a number from 0 to {len(starts) - 1}")
-            return int(chosen), starts[chosen]
-        if not self._order:
-            self._order = random.permutation(len(starts)).tolist()
-        number = self._order.pop()
-        return number, starts[number]
+    def next(self, random: np.random.Generator, options: Mapping[str, Any] | None) -> tuple[Start, dict[str, Any]]:
+        """The next start, or the one of the number that the options choose ("start").
 
-    def facts(self, number: int, start: Start) -> dict[str, Any]:
-        """What `reset` tells of a start: its number and of how many, the ids of the group, and the time [s]."""
-        count = len(self._traffic.starts)
-        return {"start": number, "starts": count, "group": start.group.ids, "time": start.group.time}
+        Also what `reset` tells of it: its number and of how many, the ids of the group, and the time [s].
+        """
+        if self._traffic is None:
+            self._traffic = Traffic(self._scenario)
+        starts, number = self._traffic.starts, (options or {}).get("start")
+        if number is None:
+            self._order = self._order or random.permutation(len(starts)).tolist()
+            number = self._order.pop()
+        elif not isinstance(number, int | np.integer) or not 0 <= number < len(starts):
+            raise InputError(f"reset: got start {number!r}, expected a number from 0 to {len(starts) - 1}")
+        start = starts[number]
+        facts = {"start": int(number), "starts": len(starts), "group": start.group.ids, "time": start.group.time}
+        return start, facts
 
     def forget(self) -> None:
         """Draw a new order at the next start: the seed has changed."""
         self._order = []
 
     def copy(self) -> "Starts":
-        """The same draws for another environment of the same traffic."""
-        other = Starts(self._traffic)
-        other._order = [*self._order]
+        """The same draws for another environment of the same traffic; only the original closes the traffic."""
+        other = copy.copy(self)
+        other._order, other._is_copy = [*self._order], True
         return other
+
+    def close(self) -> None:
+        """End the traffic, unless this is a copy."""
+        if self._traffic is not None and not self._is_copy:
+            self._traffic.close()
+        self._traffic, self._order = None, []

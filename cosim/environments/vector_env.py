@@ -8,7 +8,6 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from cosim.environments.actions import ActionKind
-from cosim.environments.episodes import Traffic
 from cosim.environments.task import Episode, Starts, task_of
 from cosim.spec.scenario import Scenario
 from gri.errors import InputError
@@ -41,8 +40,7 @@ class DrivingVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         self.single_action_space = self._task.action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._traffic: Traffic | None = None
-        self._starts: Starts | None = None
+        self._starts = Starts(self._task.scenario)
         self._episodes: list[Episode] = []
 
     def reset(
@@ -54,9 +52,6 @@ class DrivingVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         """
         super().reset(seed=seed)
         self._end_episodes()
-        if self._starts is None:
-            self._traffic = Traffic(self._task.scenario)
-            self._starts = Starts(self._traffic)
         if seed is not None:
             self._starts.forget()
         infos: dict[str, Any] = {}
@@ -92,14 +87,11 @@ class DrivingVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
     def close_extras(self, **kwargs: Any) -> None:
         """End all episodes and the traffic."""
         self._end_episodes()
-        if self._traffic is not None:
-            self._traffic.close()
-        self._traffic = self._starts = None
+        self._starts.close()
 
     def _begin(self, options: Mapping[str, Any] | None) -> tuple[Episode, dict[str, Any]]:
-        assert self._starts is not None
-        number, start = self._starts.next(self.np_random, options)
-        return Episode(self._task, start, start.begin()), self._starts.facts(number, start)
+        start, info = self._starts.next(self.np_random, options)
+        return Episode(self._task, start, start.begin()), info
 
     def _end_episodes(self) -> None:
         for episode in self._episodes:

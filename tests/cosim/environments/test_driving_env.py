@@ -98,7 +98,7 @@ def test_the_outcome_tells_merging_from_driving_on(merging):
 def test_reward_terms_are_chosen_by_name_and_weight(merge_scenario, merging):
     weights = {"completed": 3.0, "not_completed": -1.0, "jerk": -0.5, "follow.lat": -2.0}
     env = DrivingEnv(merge_scenario, reward=weights)
-    env._traffic, env._starts, env._owns_traffic = merging._traffic, merging._starts.copy(), False
+    env._starts = merging._starts.copy()
     observations, rewards, info = drive(env, steer, options={"start": 0})
     assert set(info["terms"]) == set(weights)
     outcome = info["outcome"]

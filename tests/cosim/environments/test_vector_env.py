@@ -8,7 +8,7 @@ from cosim.environments import DrivingVectorEnv
 def test_episodes_are_those_of_the_single_environment_one_after_the_other(merging, merge_scenario):
     """The episodes take the starts in the order of the seed, and end each at its own time."""
     vector = DrivingVectorEnv(merge_scenario, num_envs=2)
-    vector._traffic, vector._starts = merging._traffic, merging._starts.copy()
+    vector._starts = merging._starts.copy()
     actions = np.array([[0.0, 1.0], [0.0, -1.0]], dtype=np.float32)
     observations, infos = vector.reset(seed=7)
     starts, ended = infos["start"].tolist(), {}
@@ -25,7 +25,7 @@ def test_episodes_are_those_of_the_single_environment_one_after_the_other(mergin
                 seen[k].append(observations[k])
         if len(ended) == 2:
             break
-    vector._end_episodes()
+    vector.close()
     for k in range(2):
         observation, _ = merging.reset(options={"start": starts[k]})
         assert (observation == seen[k][0]).all()
