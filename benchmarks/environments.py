@@ -21,7 +21,7 @@ import gymnasium
 import libsumo
 import numpy as np
 
-from cosim.environments import DrivingVectorEnv  # the import registers the environments
+from cosim.environments import DrivingEnv, DrivingVectorEnv
 from cosim.spec.input_files import find_net
 from cosim.spec.loading import load_scenario
 from cosim.traffic.simulation_input import SumoFiles, prepare_simulation
@@ -87,8 +87,8 @@ def of_getters(name: str, steps: int) -> Iterator[tuple[float, float]]:
 def rows(scenario: str, steps: int) -> dict[str, Iterator[tuple[float, float]]]:
     """What is compared."""
     found = {
-        f"cosim/{scenario}-v1": of_gymnasium(gymnasium.make(f"cosim/{scenario}-v1"), steps),
-        f"the same, {PARALLEL} episodes at once": of_vector(scenario, steps),
+        "DrivingEnv": of_gymnasium(DrivingEnv(scenario), steps),
+        f"DrivingVectorEnv, {PARALLEL} episodes at once": of_vector(scenario, steps),
         "per-vehicle getters, libsumo": of_getters(scenario, steps),
     }
     with suppress(ImportError):

@@ -3,9 +3,9 @@
     pip install 'gri-cosim[rl]'
     python examples/ppo_merge.py --out runs/ppo_merge
 
-It writes `policy.npz`, a policy that scenarios, stress tests and batches take, `curve.csv` with a row per update, and
-`evaluation.json`. The policy is trained in the traffic of seed 1, and evaluated in that of seed 11. See
-docs/reinforcement-learning.md for the result.
+It writes `policy.npz`, a policy that scenarios, stress tests and batches take; `curve.csv` with a row per update, and
+its picture; and `evaluation.json`. The policy is trained in the traffic of seed 1, and evaluated in that of seed 11.
+See docs/reinforcement-learning.md for the result.
 """
 
 import argparse
@@ -14,15 +14,17 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-import gymnasium
 import numpy as np
 import pandas as pd
 import torch
+from matplotlib.figure import Figure
+from msgspec.structs import replace
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.vec_env import VecEnv
 
-from cosim.environments import DrivingVectorEnv, save_network  # the import registers the environments
+from cosim.environments import DrivingVectorEnv, save_network
+from cosim.spec.loading import load_scenario
 
 TRAINING_SEED, HELD_OUT_SEED = 1, 11
 Choose = Callable[[np.ndarray], np.ndarray]
@@ -46,8 +48,7 @@ class Episodes(VecEnv):
         observations, rewards, ended, truncated, infos = self._env.step(self._actions)
         told: list[dict] = [{"TimeLimit.truncated": bool(over)} for over in truncated]
         for k in np.flatnonzero(ended | truncated):
-            outcome = {name: values[k] for name, values in infos["final_info"]["outcome"].items() if name[0] != "_"}
-            told[k] |= {"terminal_observation": infos["final_obs"][k], "outcome": outcome}
+            told[k] |= {"terminal_observation": infos["final_obs"][k], "outcome": outcome_of(infos, k)}
         return observations, rewards.astype(np.float32), ended | truncated, told
 
     def close(self) -> None:
@@ -91,20 +92,45 @@ def shares(outcomes: list[dict]) -> dict[str, float]:
     return {"episodes": len(table), **table.mean().round(4).to_dict()}
 
 
-def evaluate(env: gymnasium.Env, choose: Choose) -> dict:
-    """Drive once from every start."""
-    outcomes, returns = [], []
-    _, info = env.reset()
-    for start in range(info["starts"]):
-        observation, _ = env.reset(options={"start": start})
-        total, over, info = 0.0, False, {}
-        while not over:
-            observation, reward, ended, truncated, info = env.step(choose(observation))
-            total, over = total + float(reward), ended or truncated
-        outcomes.append(info["outcome"])
-        returns.append(total)
-    endings = pd.Series([outcome["ending"] for outcome in outcomes]).value_counts().to_dict()
-    return {**shares(outcomes), "return": round(float(np.mean(returns)), 3), "endings": endings}
+def draw(curve: pd.DataFrame, file: Path) -> None:
+    """Shares of the last five updates over the steps."""
+    figure = Figure(figsize=(6.4, 3.2), layout="constrained")
+    axes = figure.subplots()
+    for name, label in (("completed_without_contact", "merged without contact"), ("contact", "contact")):
+        axes.plot(curve["steps"], curve[name].rolling(5, min_periods=1).mean(), label=label)
+    axes.set(xlabel="steps", ylabel="share of the episodes", ylim=(0, 1))
+    axes.legend()
+    figure.savefig(file)
+
+
+def evaluate(env: DrivingVectorEnv, choose: Choose) -> dict:
+    """Drive once from every start; several at the same time."""
+    observations, infos = env.reset(seed=1)
+    count, starts, returns = infos["starts"][0], infos["start"].copy(), np.zeros(env.num_envs)
+    outcomes: dict[int, dict] = {}
+    while len(outcomes) < count:
+        observations, rewards, ended, truncated, infos = env.step(choose(observations))
+        returns += rewards
+        for k in np.flatnonzero(ended | truncated):
+            outcomes.setdefault(int(starts[k]), {**outcome_of(infos, k), "return": returns[k]})
+            starts[k], returns[k] = infos["start"][k], 0.0
+    endings = pd.Series([outcome["ending"] for outcome in outcomes.values()]).value_counts().to_dict()
+    mean = float(np.mean([outcome["return"] for outcome in outcomes.values()]))
+    return {**shares([*outcomes.values()]), "return": round(mean, 3), "endings": endings}
+
+
+def baselines(env: DrivingVectorEnv) -> dict[str, Choose]:
+    """Policies that learned nothing."""
+    return {
+        "constant velocity": lambda observations: np.tile([0.0, -1.0], (len(observations), 1)),
+        "lane change at constant speed": lambda observations: np.tile([0.0, 1.0], (len(observations), 1)),
+        "random": lambda observations: env.action_space.sample(),
+    }
+
+
+def outcome_of(infos: dict, k: int) -> dict:
+    """The outcome of an episode that ended."""
+    return {name: values[k] for name, values in infos["final_info"]["outcome"].items() if name[0] != "_"}
 
 
 def save(model: PPO, file: Path, step: float) -> None:
@@ -120,6 +146,7 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     arguments.add_argument("--out", type=Path, default=Path("runs/ppo_merge"))
     arguments.add_argument("--scenario", default="us101_merge")
+    arguments.add_argument("--warm-up", type=float, help="of the traffic [s], instead of the scenario's")
     arguments.add_argument("--steps", type=int, default=30_000)
     arguments.add_argument("--minutes", type=float, default=110.0)
     arguments.add_argument("--starts", type=int, default=60, help="of the training traffic")
@@ -129,8 +156,11 @@ def main() -> None:
     given.out.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(1)
 
+    scenario = load_scenario(given.scenario)
+    if given.warm_up:
+        scenario = replace(scenario, traffic=replace(scenario.traffic, warm_up=given.warm_up))
     shorter = {"seed": TRAINING_SEED, "episodes": given.starts, "horizon": 10.0, "watch": 2.0}
-    train = Episodes(DrivingVectorEnv(given.scenario, given.parallel, overrides=shorter))
+    train = Episodes(DrivingVectorEnv(scenario, given.parallel, overrides=shorter))
     model = PPO(
         "MlpPolicy",
         train,
@@ -143,20 +173,18 @@ def main() -> None:
         seed=1,
         device="cpu",
     )
+    with torch.no_grad():  # begin with lane changes at constant speed, which a learner would not find soon
+        model.policy.action_net.bias[1] = 0.8
     model.learn(given.steps, callback=Curve(given.out / "curve.csv", 60 * given.minutes))
     train.close()
+    draw(pd.read_csv(given.out / "curve.csv"), given.out / "curve.svg")
     save(model, given.out / "policy.npz", step=0.2)
 
     changes = {"seed": HELD_OUT_SEED, "episodes": given.evaluate}
-    held_out = gymnasium.make("cosim/scenario-v1", scenario=given.scenario, overrides=changes)
+    held_out = DrivingVectorEnv(scenario, given.parallel, overrides=changes)
     held_out.action_space.seed(1)
-    policies: dict[str, Choose] = {
-        "ppo": lambda observation: model.predict(observation, deterministic=True)[0],
-        "constant velocity": lambda observation: np.array([0.0, -1.0], dtype=np.float32),
-        "blind lane change": lambda observation: np.array([0.0, 1.0], dtype=np.float32),
-        "random": lambda observation: held_out.action_space.sample(),
-    }
-    results = {name: evaluate(held_out, choose) for name, choose in policies.items()}
+    policies: dict[str, Choose] = {"ppo": lambda observations: model.predict(observations, deterministic=True)[0]}
+    results = {name: evaluate(held_out, choose) for name, choose in (policies | baselines(held_out)).items()}
     held_out.close()
     (given.out / "evaluation.json").write_text(json.dumps(results, indent=2) + "\n")
     print(json.dumps(results, indent=2))

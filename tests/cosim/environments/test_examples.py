@@ -37,7 +37,7 @@ def test_ppo_trains_and_its_policy_drives_in_a_run(folder, tmp_path):
     )
     curve, results = pd.read_csv(out / "curve.csv"), json.loads((out / "evaluation.json").read_text())
     assert curve["steps"].tolist() == [512]
-    assert set(results) == {"ppo", "constant velocity", "blind lane change", "random"}
+    assert set(results) == {"ppo", "constant velocity", "lane change at constant speed", "random"}
     assert all(row["episodes"] == 2 for row in results.values())
     assert results["constant velocity"]["completed"] == 0
     policy = {
