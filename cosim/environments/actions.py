@@ -26,7 +26,6 @@ LANE = 3.66
 centre."""
 JERK, YAW_ACCELERATION = 15.0, 1.0
 """[m/s³], [rad/s²] that the action 1 means."""
-_STEERING = MergingDriver(IntelligentDriver(0.2))  # its gains and limits
 
 
 def check_kind(kind: str) -> None:
@@ -50,14 +49,14 @@ def action_of(
     target = np.where(numbers[..., 0] < 0, BRAKING, ACCELERATION) * numbers[..., 0]
     rates = [(target - a) / dt]
     if "heading" in dynamics.state:
-        wanted = _yaw_rate_to(np.asarray(0.5 * LANE * (numbers[..., 1] - 1.0)), own, dynamics)
+        wanted = _yaw_rate_to(np.asarray(0.5 * LANE * (numbers[..., 1] - 1.0)), own, dynamics, dt)
         rates.append((wanted - own[..., dynamics.index("yaw_rate")]) / dt)
     return np.stack(rates, -1)
 
 
 def _yaw_rate_to(
-    desired_y: Float[np.ndarray, "*batch"], own: Float[np.ndarray, "*batch D"], dynamics: Dynamics
+    desired_y: Float[np.ndarray, "*batch"], own: Float[np.ndarray, "*batch D"], dynamics: Dynamics, dt: float
 ) -> Float[np.ndarray, "*batch"]:
     """The yaw rate [rad/s] with which `MergingDriver` steers to a lateral position [m]."""
     y, v, heading = (torch.as_tensor(own[..., dynamics.index(name)]) for name in ("y", "v", "heading"))
-    return _STEERING.yaw_rate_to(torch.as_tensor(desired_y), y, v, heading).numpy()
+    return MergingDriver(IntelligentDriver(dt)).yaw_rate_to(torch.as_tensor(desired_y), y, v, heading).numpy()

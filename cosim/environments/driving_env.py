@@ -17,7 +17,7 @@ class DrivingEnv(gymnasium.Env[np.ndarray, np.ndarray]):
     """One vehicle of a group in the closed loop of a scenario (docs/reinforcement-learning.md).
 
     The first `reset` warms the traffic up. Every episode begins at a group of the scenario, which the seed selects, in
-    a fork of this traffic. A step lasts the scenario's `step`.
+    a fork of this traffic. A step lasts the scenario's `policy_period`, or its `step`.
 
     Args:
         scenario: name of a shipped scenario, path of a YAML file, or a `Scenario`. Its policy does not count.

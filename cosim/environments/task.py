@@ -41,6 +41,11 @@ class Task:
         """The dynamics of the group rule."""
         return DUBINS if isinstance(self.scenario.group, Merge) else POINT_MASS_1D
 
+    @property
+    def period(self) -> float:
+        """Time [s] between two actions: a step of the environment."""
+        return self.scenario.policy_period or self.scenario.step
+
     def observation_space(self, role: int) -> Box:
         """The space of what a role observes."""
         return Box(-LARGEST, LARGEST, (len(features_of(role, self.dynamics)),), np.float32)
@@ -112,7 +117,7 @@ class Episode:
         actions = np.zeros((3, len(task.dynamics.action)))
         for role in task.roles:
             own = views[role][role].astype(float)
-            actions[role] = action_of(np.asarray(given[role]), own, task.action, task.dynamics, task.scenario.step)
+            actions[role] = action_of(np.asarray(given[role]), own, task.action, task.dynamics, task.period)
         self._drive.send(actions)
         self._terms = {
             role: self._rewards[role].of_step(views[role].astype(float), actions[role]) for role in task.roles

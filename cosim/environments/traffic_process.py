@@ -89,7 +89,7 @@ def _find_starts(link: Connection, scenario: Scenario, log: Path) -> None:
                     continue
                 found += len(planned)
                 for plan in planned:
-                    _begin(link, running, history, plan)
+                    _begin(link, running, history, plan, scenario.policy_period or scenario.step)
                 together = tuple(plan.round.groups[0] for plan in planned)
                 left = trunk.leave_to_sumo(history, replace(this_round, groups=together))
                 link.send((LEFT_TO_SUMO, pickle.dumps(left)))
@@ -102,13 +102,15 @@ def _end_if_alone(link: Connection) -> None:
         link.recv()
 
 
-def _begin(link: Connection, running: RunningSimulation, history: Sequence[Snapshot], plan: Planned) -> None:
+def _begin(
+    link: Connection, running: RunningSimulation, history: Sequence[Snapshot], plan: Planned, period: float
+) -> None:
     """Fork a start, and give the other side its connection."""
     ours, theirs = Pipe()
     if not plain_fork():
         link.close()
         theirs.close()
-        _serve_start(ours, running, history, plan)
+        _serve_start(ours, running, history, plan, period)
     ours.close()
     width = None if plan.round.lanes is None else plan.round.lanes.target.width
     link.send((START, (plan.round.groups[0], width)))
@@ -116,10 +118,15 @@ def _begin(link: Connection, running: RunningSimulation, history: Sequence[Snaps
     theirs.close()
 
 
-def _serve_start(link: Connection, running: RunningSimulation, history: Sequence[Snapshot], plan: Planned) -> None:
-    """The process of a start, and of every episode that is forked from it; it never returns."""
+def _serve_start(
+    link: Connection, running: RunningSimulation, history: Sequence[Snapshot], plan: Planned, period: float
+) -> None:
+    """The process of a start, and of every episode that is forked from it; it never returns.
+
+    The learner acts every `period` [s].
+    """
     dynamics = POINT_MASS_1D if isinstance(plan.round.rule, CarFollowing) else DUBINS
-    policy = WaitingPolicy(link, dynamics, plan.round.dt)
+    policy = WaitingPolicy(link, dynamics, period)
     try:
         with suppress(EOFError, BrokenPipeError, ConnectionResetError):  # the other side is gone
             try:

@@ -98,8 +98,9 @@ class PolicyRunner:
         if time == self._decided_at:
             return
         self._decided_at = time
+        observed = self._observed()
         if self._steps % self._every == 0:
-            self._action_now = self._usable(self._of_own_view(self._action(self._observed(), time)))
+            self._action_now = self._usable(self._of_own_view(self._action(observed, time)))
         action = self._channels.executed_action(self._action_now)
         self._commanded = self._next_state(action.numpy().astype(float))
         self._steps += 1
