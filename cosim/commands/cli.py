@@ -94,13 +94,22 @@ def run(
     A policy drives every group of vehicles for the horizon of the scenario. The
     table compares it with the same groups left to SUMO. The exit code is 3 if the
     traffic had fewer groups than asked for.
+
+    In a scenario with a `share`, policies drive this share of all vehicles from
+    entry to exit instead, and the table shows the traffic.
     """
     from cosim.spec.input_files import find_net
     from cosim.spec.loading import load_scenario
 
     if policy and baseline:
         raise InputError("--policy and --baseline: both name what drives the groups; give one of them")
-    find_net(load_scenario(scenario, max_work=max_work, settings=settings or ()).net)  # before torch is imported
+    chosen = load_scenario(scenario, max_work=max_work, settings=settings or ())
+    find_net(chosen.net)  # before torch is imported
+    if chosen.has_shares:
+        from cosim.commands.share import run_share
+
+        for_groups = {"--policy": policy, "--baseline": baseline, "--episodes": episodes, "--recording": recording}
+        return run_share(scenario, seed, out, settings or (), max_work, allow_code, table_format, for_groups)
     from cosim.perturb.effects import shown_effects
     from cosim.runs.run import run as run_scenario
     from cosim.runs.summary import summary_table

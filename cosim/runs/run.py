@@ -185,6 +185,8 @@ def run(
     chosen = override(chosen, {name: value for name, value in changes.items() if value is not None})
     if recording is not None:
         chosen = with_recording(chosen, Path(recording))
+    if chosen.has_shares:
+        raise InputError("share: got a scenario with a share of the traffic and no groups; call cosim.run_traffic")
     name = chosen.net if isinstance(scenario, Scenario) else Path(scenario).stem
     driver = re.sub(r"[^\w.-]+", "-", policy_name(chosen.policy) if own is None else own_name(own))
     place = Path(folder) if folder else next_folder(Path("runs"), f"{name}-{driver}-seed{chosen.seed}")
