@@ -17,7 +17,6 @@ from cosim.measures.traffic_measures import (
     space_time,
     vehicles_table,
 )
-from cosim.runs.run_tables import read_json as read_json
 from gri.errors import InputError, guarded_reading
 
 ALL = "all"  # the row of all vehicles
