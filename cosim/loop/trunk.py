@@ -18,6 +18,7 @@ Progress = Callable[[str, int, int], None]
 """Called with (what is done, how much is done, of how much)."""
 BETWEEN_ATTEMPTS = 1.0  # [s] between two attempts to find groups
 WARM_UP_CHUNKS = 50  # how often progress is reported during the warm-up
+FASTEST = 70.0  # [m/s], of any vehicle
 MANY_WAITING = 20  # vehicles outside the net, from which on the road is said to be full
 
 
@@ -73,16 +74,19 @@ class Trunk:
         """Run on until a history is complete, and return it.
 
         At first, and after each round, that takes the scenario's rest and a whole history. Otherwise the history moves
-        on by `BETWEEN_ATTEMPTS`.
+        on by `BETWEEN_ATTEMPTS`. Its last snapshot has all vehicles, the others have those that could be in a group.
         """
-        steps = self._scenario.steps
-        wanted = steps(self._scenario.history)
+        scenario, running, steps = self._scenario, self._running, self._scenario.steps
+        way = FASTEST * scenario.history
+        span = -way, scenario.road.length + way
+        wanted = steps(scenario.history)
         if not self._history:
-            for _ in range(steps(self._scenario.rest)):
+            for _ in range(steps(scenario.rest)):
                 self._step()
-        for _ in range(max(wanted - len(self._history), steps(BETWEEN_ATTEMPTS), 1)):
+        more = max(wanted - len(self._history), steps(BETWEEN_ATTEMPTS), 1)
+        for k in range(more):
             self._step()
-            self._history.append(self._running.world.snapshot(self._running.frame))
+            self._history.append(running.world.snapshot(running.frame, span=None if k == more - 1 else span))
         self._count_waiting()
         return tuple(self._history)
 

@@ -10,6 +10,7 @@ docs/decisions/048-isolated-groups.md has the measurements.
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import compress
 
 from cosim.sumo import Sumo
 from cosim.world.groups import Group
@@ -18,8 +19,8 @@ from cosim.world.snapshot import Snapshot
 
 def vehicles_ahead(groups: Sequence[Group], now: Snapshot) -> tuple[str, ...]:
     """The vehicle 2 of the groups that is farthest back, and all vehicles beside it or ahead of it."""
-    leaders = [now.row_of[group.ids[2]] for group in groups]
-    return tuple(vehicle for vehicle, s in zip(now.ids, now.s, strict=True) if s >= now.s[leaders].min())
+    rearmost = now.s[[now.row_of[group.ids[2]] for group in groups]].min()
+    return tuple(compress(now.ids, now.s >= rearmost))
 
 
 @dataclass(frozen=True)

@@ -104,17 +104,12 @@ def _columns(states: VehicleStates) -> tuple[np.ndarray, ...]:
     return states.s, states.d, states.v, states.length, states.width
 
 
-def _in_path(states: VehicleStates) -> Bool[np.ndarray, "V V"]:
-    """The pairs of vehicles that would touch if one of them moved far enough along the road."""
-    apart = np.abs(states.d[:, None] - states.d[None]) >= 0.5 * (states.width[:, None] + states.width[None])
-    return ~apart & ~np.eye(len(states.s), dtype=bool)
-
-
 def _overlap(states: VehicleStates, concerned: Bool[np.ndarray, " V"]) -> bool:
     """Whether a concerned vehicle overlaps any other one."""
-    rear = states.s - states.length
-    along = (rear[:, None] < states.s[None]) & (rear[None] < states.s[:, None])
-    return bool((_in_path(states) & along)[concerned].any())
+    rear, own = states.s - states.length, np.flatnonzero(concerned)
+    along = (rear[own, None] < states.s) & (rear < states.s[own, None])  # Shape: (own, V)
+    apart = np.abs(states.d[own, None] - states.d) >= 0.5 * (states.width[own, None] + states.width)
+    return bool((along & ~apart & (own[:, None] != np.arange(len(states.s)))).any())
 
 
 def _in_order(group: VehicleStates, others: VehicleStates) -> bool:

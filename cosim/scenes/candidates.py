@@ -73,7 +73,7 @@ def triples(steps: Sequence[BufferedStep], section: RoadSection, rules: Rules) -
     leader = {v: int(first.column("leader")[first.row_of[v]]) for v in at}
     leader = {v: ahead for v, ahead in leader.items() if ahead in at}
     order = sorted(at, key=lambda v: at[v][0])
-    beside = {v: _beside(v, order[k + 1 :], at, least, most) for k, v in enumerate(order)}
+    beside = {v: _beside(k, order, at, least, most) for k, v in enumerate(order)}
 
     def ahead(v: int, times: int) -> int:
         for _ in range(times):
@@ -119,12 +119,12 @@ def _road_positions(step: BufferedStep, section: RoadSection) -> tuple[np.ndarra
 
 
 def _beside(
-    v: int, others: Sequence[int], at: Mapping[int, tuple[float, float]], least: float, most: float
+    k: int, order: Sequence[int], at: Mapping[int, tuple[float, float]], least: float, most: float
 ) -> list[int]:
-    """The nearest vehicles ahead of v in the lanes beside it, from `others` in the order of the road."""
-    s, d = at[v]
+    """The nearest vehicles ahead of the k-th one in the lanes beside it; `order` is that of the road."""
+    s, d = at[order[k]]
     found: dict[float, int] = {}
-    for other in others:
+    for other in map(order.__getitem__, range(k + 1, len(order))):
         gap, side = at[other][0] - s, at[other][1] - d
         if gap >= most or len(found) == 2:
             break

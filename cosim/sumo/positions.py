@@ -6,6 +6,7 @@ from itertools import chain
 
 import libsumo
 import numpy as np
+from jaxtyping import Int
 
 from cosim.world.road_frame import LanePlace, RoadFrame
 from cosim.world.snapshot import NearbyFilter, is_near, rows_of
@@ -45,9 +46,12 @@ class PositionReader:
             for ring in self._rings:
                 ring.update(departed, arrived)
 
-    def of_all(self, road: RoadFrame) -> Positions:
-        """The positions of all vehicles."""
-        return self._read(road, without_shadows(libsumo.vehicle.getIDList()))
+    def of_all(self, road: RoadFrame, span: tuple[float, float] | None = None) -> Positions:
+        """The positions of all vehicles, or of those with s in `span` [m]."""
+        found = self._read(road, without_shadows(libsumo.vehicle.getIDList()))
+        if span is None:
+            return found
+        return _only(found, np.flatnonzero((found[2] >= span[0]) & (found[2] <= span[1])))
 
     def of_nearby(self, road: RoadFrame, around: tuple[str, ...], lane_ahead: float) -> Positions:
         """The positions of the vehicles near to those `around`, and of some more; see `is_near` for `lane_ahead`."""
@@ -60,8 +64,8 @@ class PositionReader:
             rings.clear()
             return self.of_nearby(road, around, lane_ahead)
         for _, along, across in _RINGS[len(rings) :]:
-            rows = np.flatnonzero(is_near(s, d, rows_of(ids, around), along, across, lane_ahead))
-            ids, xy, s, d = tuple([ids[row] for row in rows.tolist()]), xy[rows], s[rows], d[rows]
+            near = is_near(s, d, rows_of(ids, around), along, across, lane_ahead)
+            ids, xy, s, d = _only((ids, xy, s, d), np.flatnonzero(near))
             rings.append(NearbyFilter(around, lane_ahead, ids, now))
         return ids, xy, s, d
 
@@ -104,6 +108,11 @@ class PositionReader:
                 low.append(place.low)
                 high.append(place.high)
         return rows, low, high
+
+
+def _only(positions: Positions, rows: Int[np.ndarray, " R"]) -> Positions:
+    ids, xy, s, d = positions
+    return tuple([ids[row] for row in rows.tolist()]), xy[rows], s[rows], d[rows]
 
 
 def without_shadows(ids: Iterable[str]) -> tuple[str, ...]:

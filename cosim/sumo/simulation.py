@@ -81,14 +81,18 @@ class Sumo:
         return report
 
     def snapshot(
-        self, road: RoadFrame, around: Sequence[str] | None = None, lane_ahead: float = LANE_AHEAD
+        self,
+        road: RoadFrame,
+        around: Sequence[str] | None = None,
+        lane_ahead: float = LANE_AHEAD,
+        span: tuple[float, float] | None = None,
     ) -> Snapshot:
-        """Read all vehicles, or only those near to the vehicles `around` and some more.
+        """Read all vehicles, or those with s in `span` [m], or those near to the vehicles `around` and some more.
 
         `lane_ahead` [m] is the distance along the lane that counts as near (see `is_near`).
         """
         if around is None:
-            ids, xy, s, d = self._positions.of_all(road)
+            ids, xy, s, d = self._positions.of_all(road, span)
         else:
             ids, xy, s, d = self._positions.of_nearby(road, tuple(around), lane_ahead)
         everybody = around is None  # the two kinds of snapshots take turns where surroundings are recorded

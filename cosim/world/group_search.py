@@ -3,13 +3,13 @@
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
 
 import numpy as np
+from jaxtyping import Int
 
 from cosim.measures.surrogate_safety import net_gap
 from cosim.spec.scenario import CarFollowing, Merge
-from cosim.world.groups import SAME_LANE, Group, MergeLanes, next_ahead
+from cosim.world.groups import SAME_LANE, Group, MergeLanes, everybody_ahead
 from cosim.world.snapshot import Snapshot
 
 OUTSIDE = "outside the study area"
@@ -83,24 +83,55 @@ def why_not_more(rule: str, seen: int, failed: Mapping[str, int]) -> str:
 
 def _chains(history: Sequence[Snapshot], rule: CarFollowing, barred: Mapping[str, str]) -> Candidates:
     """Triples in one lane of the study area, each vehicle the next one's leader, now and during the whole history."""
-    leaders = [_leaders(snapshot) for snapshot in history]
-    now = leaders[-1]
-    for rear, middle in now.items():
-        if (front := now.get(middle)) is None:
-            continue
-        ids = rear, middle, front
-        if any(barred.get(vehicle) == OUTSIDE for vehicle in ids):
-            continue
-        reason = next((barred[vehicle] for vehicle in ids if vehicle in barred), "")
-        if not reason and any(at.get(rear) != middle or at.get(middle) != front for at in leaders):
-            reason = "in another order or lane during the history"
-        yield ids, reason or _too_far_or_slow(history[-1], ids, rule) or _unsteady(history, ids, rule)
+    now, ahead = history[-1], everybody_ahead(history[-1])
+    rear = np.flatnonzero((ahead >= 0) & (ahead[ahead] >= 0))
+    rows = np.stack([rear, ahead[rear], ahead[ahead[rear]]], axis=1)
+    outside = np.array([barred.get(vehicle) == OUTSIDE for vehicle in now.ids], dtype=bool)
+    rows = rows[~outside[rows].any(axis=1)]
+    ids: list[Ids] = [(now.ids[k], now.ids[i], now.ids[j]) for k, i, j in rows.tolist()]
+    reasons = [next((barred[vehicle] for vehicle in of if vehicle in barred), "") for of in ids]
+    free = [k for k, reason in enumerate(reasons) if not reason]
+    for k, failure in zip(free, _chain_failures(history, rule, rows[free]), strict=True):
+        reasons[k] = failure
+    yield from zip(ids, reasons, strict=True)
 
 
-def _leaders(snapshot: Snapshot) -> dict[str, str]:
-    """The next vehicle ahead in the same lane, for every vehicle that has one."""
-    ahead = next_ahead(snapshot, np.arange(len(snapshot.ids)))
-    return {snapshot.ids[row]: snapshot.ids[k] for row, k in enumerate(ahead) if k >= 0}
+def _chain_failures(history: Sequence[Snapshot], rule: CarFollowing, rows: Int[np.ndarray, "C 3"]) -> list[str]:
+    """The first limit that each chain fails, given by its rows in the last snapshot; "" where it fails none."""
+    now = history[-1]
+    d, v, gap = now.d[rows], now.v[rows], net_gap(now.s[rows[:, :2]], now.s[rows[:, 1:]], now.length[rows[:, 1:]])
+    reordered, moved, unsteady = (np.zeros(len(rows), dtype=bool) for _ in range(3))
+    for snapshot, at in zip(history, _rows_during(history, rows), strict=True):
+        present = (at >= 0).all(axis=1)
+        reordered |= ~present
+        if present.any():
+            reordered |= (everybody_ahead(snapshot)[at[:, :2]] != at[:, 1:]).any(axis=1)
+            moved |= (np.abs(snapshot.d[at] - d) >= SAME_LANE).any(axis=1)
+            unsteady |= (np.abs(np.diff(snapshot.v[at], axis=1)) > rule.max_speed_difference).any(axis=1)
+    limits = [
+        (f"gap < {rule.min_gap:g} m", gap < rule.min_gap),
+        (f"gap > {rule.max_gap:g} m", gap > rule.max_gap),
+        (f"time gap > {rule.max_time_gap:g} s", gap > rule.max_time_gap * v[:, :2]),
+        (f"speed < {rule.min_speed:g} m/s", v[:, :2] < rule.min_speed),
+    ]
+    checks = [
+        ("in another order or lane during the history", reordered),
+        *((text, of[:, follower]) for follower in (0, 1) for text, of in limits),
+        ("lane change during the history", moved),
+        (f"speed difference > {rule.max_speed_difference:g} m/s during the history", unsteady),
+        ("", np.ones(len(rows), dtype=bool)),
+    ]
+    first = np.argmax([of for _, of in checks], axis=0)
+    return [checks[k][0] for k in first.tolist()]
+
+
+def _rows_during(history: Sequence[Snapshot], rows: Int[np.ndarray, "C 3"]) -> Iterator[Int[np.ndarray, "C 3"]]:
+    """The rows of the same vehicles in each snapshot; −1 where a vehicle is absent."""
+    members, which = np.unique(rows, return_inverse=True)
+    names = [history[-1].ids[row] for row in members.tolist()]
+    for snapshot in history:
+        at = np.array([snapshot.row_of.get(vehicle, -1) for vehicle in names], dtype=int)
+        yield at[which.reshape(rows.shape)]
 
 
 def _gap(now: Snapshot, behind: int, ahead: int) -> float:
@@ -111,31 +142,6 @@ def _gap_failure(gap: float, rule: CarFollowing | Merge) -> str:
     if gap < rule.min_gap:
         return f"gap < {rule.min_gap:g} m"
     return f"gap > {rule.max_gap:g} m" if gap > rule.max_gap else ""
-
-
-def _too_far_or_slow(now: Snapshot, ids: Ids, rule: CarFollowing) -> str:
-    """The limit of gap, time gap or speed that a follower does not keep."""
-    for behind, ahead in pairwise(now.row_of[vehicle] for vehicle in ids):
-        gap, v = _gap(now, behind, ahead), float(now.v[behind])
-        if failure := _gap_failure(gap, rule):
-            return failure
-        if gap > rule.max_time_gap * v:
-            return f"time gap > {rule.max_time_gap:g} s"
-        if v < rule.min_speed:
-            return f"speed < {rule.min_speed:g} m/s"
-    return ""
-
-
-def _unsteady(history: Sequence[Snapshot], ids: Ids, rule: CarFollowing) -> str:
-    """Whether a vehicle changed its lane, or drove at another speed than its leader, during the history."""
-    rows = [[snapshot.row_of[vehicle] for vehicle in ids] for snapshot in history]
-    d = np.array([snapshot.d[row] for snapshot, row in zip(history, rows, strict=True)])
-    v = np.array([snapshot.v[row] for snapshot, row in zip(history, rows, strict=True)])
-    if np.any(np.abs(d - d[-1]) >= SAME_LANE):
-        return "lane change during the history"
-    if np.any(np.abs(np.diff(v, axis=1)) > rule.max_speed_difference):
-        return f"speed difference > {rule.max_speed_difference:g} m/s during the history"
-    return ""
 
 
 def _merges(history: Sequence[Snapshot], rule: Merge, barred: Mapping[str, str], lanes: MergeLanes) -> Candidates:

@@ -81,7 +81,10 @@ def order_of(rule: CarFollowing | Merge) -> tuple[int, int, int]:
 
 
 def next_ahead(snapshot: Snapshot, rows: Int[np.ndarray, " R"]) -> Int[np.ndarray, " R"]:
-    """Row of the next vehicle ahead in the same lane, −1 where the road ahead is empty."""
+    """Row of the next vehicle ahead in the same lane, −1 where the road ahead is empty; for a few vehicles.
+
+    Of vehicles at the same distance it is the first one. `everybody_ahead` gives the same for all vehicles.
+    """
     if not len(snapshot.ids):
         return np.full(len(rows), -1)
     distance = snapshot.s[None] - snapshot.s[rows][:, None]  # Shape: (R, V)
@@ -89,6 +92,42 @@ def next_ahead(snapshot: Snapshot, rows: Int[np.ndarray, " R"]) -> Int[np.ndarra
     distance = np.where(same_lane & (distance > 0), distance, np.inf)
     nearest = distance.argmin(axis=1)
     return np.where(np.isinf(distance[np.arange(len(rows)), nearest]), -1, nearest)
+
+
+def everybody_ahead(snapshot: Snapshot) -> Int[np.ndarray, " V"]:
+    """What `next_ahead` gives for all V vehicles, in O(V log V).
+
+    The road is cut into strips as wide as SAME_LANE. A vehicle is in the same lane as all others of its strip, and
+    perhaps as some in the strips beside it, of which only those count that are no farther ahead than the next one in
+    its own strip. These stretches do not overlap, so no more than about three vehicles are looked at for each one.
+    """
+    s, d, n = snapshot.s, snapshot.d, len(snapshot.ids)
+    if not n:
+        return np.full(0, -1)
+    values, rank = np.unique(s, return_inverse=True)
+    stride = len(values) + 1
+    strip = np.floor(d / SAME_LANE).astype(np.int64) * stride
+    key = strip + rank  # orders by strip, then by s
+    order = np.argsort(key, kind="stable")
+    keys = key[order]
+    first = np.minimum(np.searchsorted(keys, key, side="right"), n - 1)
+    own = order[first]
+    found = (strip[own] == strip) & (s[own] > s)
+    # Two vehicles at slightly different s can be at the same rounded distance.
+    reach = np.where(found, s[own] + 4 * np.spacing(np.maximum(np.abs(s), np.abs(s[own]))), np.inf)
+    until = np.searchsorted(values, reach, side="right")
+    beside = np.array([[-stride], [0], [stride]])
+    begin, end = np.searchsorted(keys, key + beside, side="right"), np.searchsorted(keys, strip + until + beside)
+    count = (end - begin).ravel()
+    behind = np.repeat(np.tile(np.arange(n), 3), count)
+    ahead = order[np.arange(len(behind)) + np.repeat(begin.ravel() - (np.cumsum(count) - count), count)]
+    distance = np.where(np.abs(d[ahead] - d[behind]) < SAME_LANE, s[ahead] - s[behind], np.inf)
+    least = np.full(n, np.inf)
+    np.minimum.at(least, behind, distance)
+    nearest = np.isfinite(distance) & (distance == least[behind])
+    row = np.full(n, n)
+    np.minimum.at(row, behind[nearest], ahead[nearest])
+    return np.where(row < n, row, -1)
 
 
 def isolated(groups: Sequence[Group], now: Snapshot) -> list[tuple[Group, ...]]:

@@ -2,8 +2,12 @@
 
 from msgspec.structs import replace
 
-from cosim.loop.trunk import MANY_WAITING, Backlog
+from cosim.loop.trunk import MANY_WAITING, Backlog, Trunk
+from cosim.spec.input_files import find_net
 from cosim.spec.scenario import Road
+from cosim.traffic.running_simulation import simulation
+from cosim.traffic.simulation_input import SumoFiles, prepare_simulation
+from cosim.world.group_search import search_groups
 from gri.core.policy import IntelligentDriver
 
 
@@ -40,3 +44,32 @@ def test_a_search_without_groups_says_why(short_scenario, simulate):
     assert not outcome.episodes
     assert outcome.search.seen == sum(outcome.search.failed.values()) > 20
     assert outcome.search.failed["gap < 40 m"] > 0
+
+
+def test_a_history_has_everybody_at_its_end_and_before_that_those_who_could_be_in_a_group(short_scenario, tmp_path):
+    """The groups are those that a history of all vehicles has."""
+    length = 400.0  # [m]; vehicles more than 70 m behind or ahead of it could not be in a group
+    scenario = replace(short_scenario, history=1.0, road=replace(short_scenario.road, length=length))
+    files = SumoFiles(find_net(scenario.net), tmp_path / "routes.rou.xml", tmp_path / "sumo.log")
+    inputs = prepare_simulation(scenario, files, scenario.time_limit)
+    inputs.write()
+    with simulation(inputs) as running:
+        trunk, world = Trunk(running, inputs.scenario), running.world
+        trunk.warm_up(lambda *_: None)
+        whole, step = [], world.step
+
+        def recorded_step():
+            report = step()
+            whole.append(world.snapshot(running.frame))
+            return report
+
+        world.step = recorded_step
+        for _ in range(3):
+            history = trunk.observe_history()
+            everybody = whole[-len(history) :]
+            assert history[-1].ids == everybody[-1].ids
+            assert all(len(now.ids) < len(then.ids) for now, then in zip(history[:-1], everybody, strict=False))
+            rule = {"rule": scenario.group, "zone": (0.0, length), "barred": {}, "limit": 9}
+            found = search_groups(history, **rule)
+            assert found == search_groups(everybody, **rule)
+            assert found.seen
