@@ -18,7 +18,7 @@ from cosim.batch.run_matrix import PACKAGES, Run
 from cosim.batch.spec import Batch
 from cosim.batch.store import BatchStore
 from cosim.process.task import Task, TaskResult, TaskResults
-from cosim.runs.run_tables import read_json
+from cosim.runs.run_reading import read_json
 
 Executor = Callable[[deque[Task], float], TaskResults]  # (queue, time limit [s])
 NOT_RETRIED = ("input",)  # kinds of failure that a second attempt cannot fix

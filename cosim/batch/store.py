@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from cosim.runs.run_tables import TABLES, read_json
+from cosim.runs.run_reading import TABLES, read_json
 from gri.errors import InputError
 
 PARTIAL = ".partial"

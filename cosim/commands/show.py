@@ -33,7 +33,7 @@ def report(
         publish_again(folder)
         return say(f"Report: {folder / 'stress.md'}, for a browser: {write_stress_page(folder)}")
     from cosim.runs.episode_figure import picture
-    from cosim.runs.run_tables import read_tables
+    from cosim.runs.run_reading import read_tables
     from cosim.runs.summary import summary_table
 
     tables = read_tables(folder)
@@ -77,7 +77,7 @@ def render(
     the same group left to SUMO. No display is needed.
     """
     from cosim.runs.road_view import road_view
-    from cosim.runs.run_tables import read_tables
+    from cosim.runs.run_reading import read_tables
     from cosim.show.episode_view import episode_view, same_start
 
     tables = read_tables(run)
@@ -127,7 +127,7 @@ def explain(run: RunArgument, episode: EpisodeOption = 0) -> None:
 
     The text is made from the graph that the policy inferred and from its reward.
     """
-    from cosim.runs.run_tables import read_tables
+    from cosim.runs.run_reading import read_tables
     from cosim.show.episode_view import episode_view
     from cosim.show.explanation import explanation
 
@@ -143,7 +143,7 @@ def gui(run: RunArgument, episode: EpisodeOption = 0) -> None:
 
     Needs the extra `sumo` of the installation.
     """
-    from cosim.runs.run_tables import read_tables
+    from cosim.runs.run_reading import read_tables
     from cosim.runs.surroundings_table import read_surroundings
     from cosim.show.episode_view import episode_view
     from cosim.show.sumo_gui import poses_of, replay

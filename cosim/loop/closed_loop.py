@@ -11,15 +11,13 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from multiprocessing import get_context
 
-import numpy as np
-
 from cosim.loop.drive_effects import drive_and_measure
 from cosim.loop.driving import Driver, RoundStart, start_round
 from cosim.loop.intervention import Intervention, NoIntervention
 from cosim.loop.own_policy import OwnPolicy
 from cosim.loop.perturbed_round import intervention_for
 from cosim.loop.round_recorder import Round
-from cosim.loop.trunk import Backlog, Progress, Trunk
+from cosim.loop.trunk import Progress, Trunk
 from cosim.loop.vehicles_ahead import SpeedRecord
 from cosim.perturb.displaced_starts import Infeasible
 from cosim.perturb.effects import Effect
@@ -28,6 +26,7 @@ from cosim.process.guarded_calls import CallGuard, survive
 from cosim.spec.scenario import Scenario
 from cosim.traffic.running_simulation import RunningSimulation, simulation
 from cosim.traffic.simulation_input import SimulationInput, SumoFiles, prepare_simulation
+from cosim.world.backlog import Backlog
 from cosim.world.break_ups import compared
 from cosim.world.episode import Episode
 from cosim.world.group_search import GroupSearch
@@ -224,17 +223,3 @@ def _drive_from_start(
             history.append(running.world.snapshot(running.frame))
         intervention = intervention_for(scenario, history[-1], asked)
         return _drive(running, start_round(running.frame, history, intervention, driver), speeds)
-
-
-def leader_deviation(driven: Episode, counterpart: Episode) -> float:
-    """Largest distance [m] along the road between vehicle 2 and itself in the counterpart, from the take-over on.
-
-    Until the first of both drives ends; 0 where the group is isolated and no perturbation changes vehicle 2. NaN where
-    vehicle 2 is gone from the start.
-    """
-    until = min(driven.end, counterpart.end) + 1e-6
-    n = min(len(driven.time), len(counterpart.time))
-    compared = driven.during_drive[:n] & (driven.time[:n] <= until)
-    compared &= driven.valid[:n, 2] & counterpart.valid[:n, 2]
-    apart = np.abs(driven.feature("s")[:n, 2] - counterpart.feature("s")[:n, 2])[compared]
-    return float(apart.max()) if len(apart) else np.nan

@@ -2,7 +2,6 @@
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 from cosim.loop.driving import drive, start_round
 from cosim.loop.intervention import NoIntervention
@@ -10,6 +9,7 @@ from cosim.loop.round_recorder import Round
 from cosim.loop.vehicles_ahead import SpeedRecord, vehicles_ahead
 from cosim.spec.scenario import Scenario
 from cosim.traffic.running_simulation import RunningSimulation
+from cosim.world.backlog import Backlog
 from cosim.world.episode import Episode
 from cosim.world.group_search import GroupSearch, search_groups
 from cosim.world.snapshot import Snapshot
@@ -19,24 +19,6 @@ Progress = Callable[[str, int, int], None]
 BETWEEN_ATTEMPTS = 1.0  # [s] between two attempts to find groups
 WARM_UP_CHUNKS = 50  # how often progress is reported during the warm-up
 FASTEST = 70.0  # [m/s], of any vehicle
-MANY_WAITING = 20  # vehicles outside the net, from which on the road is said to be full
-
-
-@dataclass(frozen=True)
-class Backlog:
-    """Vehicles that could not enter the net at their departure time and wait outside.
-
-    `since` [s] is the time since which there have always been MANY_WAITING or more; None where there are fewer now.
-    """
-
-    waiting: int = 0
-    since: float | None = None
-
-    def updated(self, waiting: int, time: float) -> "Backlog":
-        """The backlog after it was counted again."""
-        if waiting < MANY_WAITING:
-            return Backlog(waiting)
-        return Backlog(waiting, time if self.since is None else self.since)
 
 
 class Trunk:

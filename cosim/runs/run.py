@@ -11,11 +11,10 @@ from typing import Any
 import msgspec
 import pandas as pd
 
-from cosim.loop.trunk import MANY_WAITING
 from cosim.perturb.effects import COLUMNS as EFFECT_COLUMNS
 from cosim.process.worker_process import run_in_worker
 from cosim.runs.run_folder import next_folder, run_folder
-from cosim.runs.run_tables import TABLES, read_json, read_tables
+from cosim.runs.run_reading import TABLES, read_json, read_tables
 from cosim.runs.summary import summary
 from cosim.runs.surroundings_table import read_surroundings
 from cosim.runs.user_policy import own_name, unfit
@@ -23,6 +22,7 @@ from cosim.spec.input_files import refuse_foreign_code
 from cosim.spec.loading import changed, find_file, load_scenario, override, with_recording
 from cosim.spec.scenario import Scenario, UserPolicy, policy_name
 from cosim.spec.settings import settings_of
+from cosim.world.backlog import MANY_WAITING
 from cosim.world.group_search import why_not_more
 from gri.errors import InputError
 from gri.resources import checkpoints

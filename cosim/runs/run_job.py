@@ -14,7 +14,6 @@ import torch
 from cosim.loop.closed_loop import run
 from cosim.perturb.effects import effects_table
 from cosim.runs import run_tables
-from cosim.runs.episode_figure import picture
 from cosim.runs.policy_loading import driver_of
 from cosim.runs.surroundings_table import write_surroundings
 from cosim.runs.traffic_effects import traffic_effects
@@ -120,6 +119,8 @@ def run_job(
     manifest = run_tables.manifest(run_facts, inputs, folder)
     run_tables.write_manifest(folder, manifest | {"effects": json.loads(effects.to_json(orient="records"))})
     if draw:
+        from cosim.runs.episode_figure import picture  # with all of matplotlib; a batch draws nothing
+
         tell("picture", 0, 1)
         picture(tables, folder / "episode.png", folder=folder)
         tell("picture", 1, 1)

@@ -1,4 +1,4 @@
-"""A run on disk: Parquet tables for steps, groups, counterparts, events and graphs, a manifest, and one picture.
+"""Writing a run: Parquet tables for steps, groups, counterparts, events and graphs, a manifest, and one picture.
 
 Columns and units are in docs/reference/run-tables.md: SI units, e.g. jerk in m/s³. A run folder appears whole or not at
 all: it is written beside its place and then moved there.
@@ -15,25 +15,22 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 from jaxtyping import Bool
 
-from cosim.loop.closed_loop import leader_deviation
 from cosim.measures.surrogate_safety import BRAKING, brakings
+from cosim.runs.run_reading import TABLES
 from cosim.spec.input_files import sha256
 from cosim.spec.scenario import AFTERMATH
+from cosim.world.counterparts import leader_deviation
 from cosim.world.episode import COLUMNS, Episode
 from cosim.world.hand_back_columns import hand_back_columns
 from cosim.world.outcome_columns import outcome_columns
 from cosim.world.safety import safety_measures, track_of_role
-from gri.core.graph import EdgeType, pairs
-from gri.errors import InputError, guarded_reading
-
-TABLES = ("steps", "groups", "counterparts", "events", "graphs")
+from gri.core.edges import EdgeType, pairs
 
 
 def steps_table(episodes: Sequence[Episode], counterparts: Sequence[Episode] = ()) -> pd.DataFrame:
@@ -215,41 +212,3 @@ def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame]) -> None:
 
 def write_manifest(folder: Path, content: Mapping[str, Any]) -> None:
     (folder / "manifest.json").write_text(json.dumps(content, indent=2) + "\n")
-
-
-NEEDED = {
-    "steps": ("episode", "driver", "time", "role", "vehicle", "present", "driven", "s", "d", "v", "a"),
-    "groups": ("episode", "driver", "ending", "takeover_time"),
-    "counterparts": ("episode", "driver", "ending", "takeover_time"),
-    "events": ("episode", "driver", "time", "kind", "vehicles", "detail"),
-    "graphs": ("episode", "driver", "time", "sender", "receiver", "type", "probability"),
-}
-"""Columns without which nothing can be shown."""
-
-
-def read_json(path: Path, kind: Any) -> Any:
-    """The content of a JSON file of a run or a batch as a value of `kind`. Raises `InputError` for anything else."""
-    with guarded_reading(path, "file of a run", "run it again"):
-        return msgspec.json.decode(path.read_bytes(), type=kind)
-
-
-def read_tables(folder: Path) -> dict[str, pd.DataFrame]:
-    """The tables of a run folder; an InputError says what is missing."""
-    if not folder.is_dir():
-        raise InputError(f"{folder}: no such folder; give a run folder written by `cosim run`")
-    if (folder / "groups.parquet").is_file() and not (folder / "counterparts.parquet").is_file():
-        raise InputError(
-            f"{folder}: no counterparts.parquet in it; got a run folder that an older version wrote, which mixed the"
-            " counterparts into the groups; run the scenario again"
-        )
-    for name in TABLES:
-        if not (folder / f"{name}.parquet").is_file():
-            raise InputError(f"{folder}: no {name}.parquet in it; expected a run folder written by `cosim run`")
-    tables = {}
-    for name in TABLES:
-        path = folder / f"{name}.parquet"
-        with guarded_reading(path, "table of a run", "run the scenario again"):
-            tables[name] = pd.read_parquet(path)
-        if missing := [column for column in NEEDED.get(name, ()) if column not in tables[name]]:
-            raise InputError(f"{path}: column {missing[0]} is missing; expected a table written by `cosim run`")
-    return tables

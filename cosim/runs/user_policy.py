@@ -11,6 +11,7 @@ from typing import Any
 
 from cosim.spec.input_files import source_path
 from cosim.spec.scenario import UserPolicy
+from cosim.world.episode import LEFT_ALONE
 from gri.errors import InputError
 
 WANTED = ("dynamics", "dt", "history_steps", "begin", "act")  # of gri.core.policy.Policy
@@ -71,8 +72,6 @@ def own_name(policy: object) -> str:
     Raises:
         InputError: the name is that of a driver of counterparts, with which the policy would be confused.
     """
-    from cosim.world.episode import LEFT_ALONE  # imports torch
-
     name = getattr(policy, "name", None)
     name = name if isinstance(name, str) and name else type(policy).__name__
     if name in LEFT_ALONE:

@@ -13,7 +13,7 @@ from cosim.batch.result_listing import correction_note, groups_of, p_value
 from cosim.batch.store import BatchStore
 from cosim.measures.statistics import Estimate, PairedTest, with_correction
 from cosim.runs.road_view import road_view
-from cosim.runs.run_tables import read_tables
+from cosim.runs.run_reading import read_tables
 from cosim.runs.summary import shortest_time
 from cosim.show import graph_drawing, svg_charts
 from cosim.show.animation import script_of

@@ -15,7 +15,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cosim.runs.policy_loading import policy_of
-from cosim.runs.run_tables import read_json
+from cosim.runs.run_reading import read_json
 from cosim.runs.summary import driver_name
 from cosim.show.action_effects import AGREES, FAR, LOOK_BACK, Effect, drive_of, effects_of
 from cosim.show.episode_view import EpisodeView, InferredEdge

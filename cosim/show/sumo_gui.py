@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from cosim.runs.run_tables import read_json
+from cosim.runs.run_reading import read_json
 from cosim.show.episode_view import EpisodeView
 from cosim.spec.input_files import find_net
 from cosim.spec.scenario import Scenario

@@ -18,7 +18,7 @@ import pandas as pd
 from cosim.batch.group_statistics import cluster_note
 from cosim.perturb.effects import KEY, pooled
 from cosim.process.worker_process import run_in_worker
-from cosim.runs.run_tables import read_json
+from cosim.runs.run_reading import read_json
 from cosim.spec.input_files import checkpoint_path, find_net, sha256
 from cosim.spec.scenario import Merge, Scenario, TrainedPolicy
 from cosim.stress import estimates, figures

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 
-from cosim.runs.run_tables import read_tables
+from cosim.runs.run_reading import read_tables
 from gri.data.ngsim.columns import FRAME
 from gri.data.ngsim.defects import clean
 from gri.data.ngsim.recordings import recordings

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import TYPE_CHECKING
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -11,7 +12,9 @@ from cosim.spec.scenario import AFTERMATH
 from cosim.world.groups import Group
 from cosim.world.snapshot import COLUMNS
 from cosim.world.surroundings import Surroundings
-from gri.core.graph import InteractionGraph
+
+if TYPE_CHECKING:
+    import gri.core.graph  # with all of torch, which reading a finished run does not need
 
 SUCCESS_HEADWAY = 2.0  # [m], the paper's δ_f (Sec. VI-E)
 
@@ -133,7 +136,7 @@ class Episode:
     length: Float[np.ndarray, " 3"]
     width: Float[np.ndarray, " 3"]
     order: tuple[int, int, int]
-    graph: InteractionGraph | None
+    graph: "gri.core.graph.InteractionGraph | None"
     graph_time: Float[np.ndarray, " R"]
     ending: Ending
     end: float

@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from cosim.spec.scenario import CarFollowing, Merge
 from cosim.world.snapshot import LaneStrip, Snapshot
-from gri.core.graph import EdgeType
+from gri.core.edges import EdgeType
 
 SAME_LANE = 1.0  # [m] of lateral distance; lanes are wider than 3 m, vehicles keep to their centres
 

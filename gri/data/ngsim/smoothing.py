@@ -16,7 +16,6 @@ from itertools import pairwise
 
 import msgspec
 import numpy as np
-from scipy.signal import savgol_filter
 
 from gri.data.ngsim.columns import FRAME
 from gri.data.ngsim.defects import Tracks
@@ -101,6 +100,8 @@ def smooth_axis(
     Returns position [m], speed [m/s] and acceleration [m/s²], each [U], and the largest distance between integrated and
     smoothed positions [m].
     """
+    from scipy.signal import savgol_filter  # takes long to import; runs without a recording need none of it
+
     smooth, slope = (
         np.asarray(savgol_filter(position, options.window, options.order, deriv=d, delta=FRAME))[frames] for d in (0, 1)
     )

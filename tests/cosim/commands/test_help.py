@@ -1,5 +1,8 @@
 """`cosim --help` and the help of all its commands; what mistakes need not wait for."""
 
+import subprocess
+import sys
+
 import pytest
 
 from cosim.commands.cli import app
@@ -40,3 +43,27 @@ def test_help_and_mistakes_do_not_wait_for_torch(arguments: list[str], code: int
     imported, printed, exit_code = help_pages.imported_by("cosim.commands.cli", *arguments)
     assert (exit_code, imported) == (code, set()), printed
     assert text in printed
+
+
+@pytest.mark.parametrize("arguments", [["report", "no_such_folder"], ["results", "no_such_folder"]])
+def test_reading_results_needs_neither_torch_nor_sumo(arguments: list[str]):
+    """The folder is looked for when everything has been imported."""
+    imported, printed, exit_code = help_pages.imported_by("cosim.commands.cli", *arguments)
+    assert "no_such_folder" in printed
+    assert exit_code == 2
+    assert "pandas" in imported
+    assert not imported & {"torch", "libsumo"}
+
+
+@pytest.mark.parametrize(
+    ("module", "unused"),
+    [
+        ("cosim.runs.run", {"torch", "libsumo", "scipy", "matplotlib"}),  # the process that waits for a run
+        ("cosim.runs.run_job", {"scipy", "matplotlib"}),  # the process that does it, until it draws
+        ("cosim.show.batch_report", {"torch", "libsumo"}),
+    ],
+)
+def test_nothing_is_imported_before_it_is_needed(module: str, unused: set[str]):
+    code = f"import sys, {module}; print(*{unused!r} & set(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert not done.stdout.split()

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from cosim.loop.closed_loop import leader_deviation
 from cosim.loop.vehicles_ahead import SpeedRecord
 from cosim.spec.loading import load_scenario
+from cosim.world.counterparts import leader_deviation
 from cosim.world.episode import COLUMNS
 from gri.core.policy import ConstantVelocity, IntelligentDriver
 

@@ -2,11 +2,12 @@
 
 from msgspec.structs import replace
 
-from cosim.loop.trunk import MANY_WAITING, Backlog, Trunk
+from cosim.loop.trunk import Trunk
 from cosim.spec.input_files import find_net
 from cosim.spec.scenario import Road
 from cosim.traffic.running_simulation import simulation
 from cosim.traffic.simulation_input import SumoFiles, prepare_simulation
+from cosim.world.backlog import MANY_WAITING, Backlog
 from cosim.world.group_search import search_groups
 from gri.core.policy import IntelligentDriver
 

@@ -12,14 +12,13 @@ import torch
 
 from cosim.runs.episode_figure import most_eventful, picture
 from cosim.runs.run_folder import next_folder, run_folder
+from cosim.runs.run_reading import TABLES, read_tables
 from cosim.runs.run_tables import (
-    TABLES,
     events_table,
     graphs_table,
     groups_table,
     labelled,
     manifest,
-    read_tables,
     steps_table,
     write_manifest,
     write_tables,

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cosim.runs.run_tables import NEEDED, TABLES
+from cosim.runs.run_reading import NEEDED, TABLES
 from cosim.studies.traffic_samples import COLUMNS, recorded_samples, run_samples, with_headways
 from gri.errors import InputError
 
