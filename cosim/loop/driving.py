@@ -21,7 +21,7 @@ from cosim.loop.state_layouts import layout_of
 from cosim.loop.take_over_and_hand_back import Control, PolicyControl, SumoControl
 from cosim.spec.scenario import AFTERMATH, GraphSource, Inferred
 from cosim.sumo import Sumo
-from cosim.world.break_ups import lane_entries, with_cause
+from cosim.world.break_ups import earlier_positions, lane_entries, with_cause
 from cosim.world.contacts import contacts_of
 from cosim.world.episode import COLUMNS, Contact, Episode, Event, EventKind
 from cosim.world.groups import order_of
@@ -152,9 +152,9 @@ def _judged(
 ) -> list[Episode]:
     """The episodes with their contacts, and with what broke them up; `trace` are the snapshots after the take-over."""
     names = [intervention.names(g) for g in range(len(episodes))]
-    ends, found = [episode.end for episode in episodes], []
+    ends, found, earlier = [episode.end for episode in episodes], [], earlier_positions(takeover, trace)
     for g, contacts in enumerate(contacts_of(trace, names, ends)):
-        entries = lane_entries(takeover, trace, [*names[g]], ends[g])
+        entries = lane_entries(takeover, trace, [*names[g]], ends[g], earlier)
         events = [Event(c.time, EventKind.CONTACT, c.vehicles, _detail(c)) for c in contacts]
         events = tuple(sorted([*events, *episodes[g].events], key=lambda event: event.time))
         episode = replace(episodes[g], contacts=contacts, lane_entries=entries, events=events)

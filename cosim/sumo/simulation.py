@@ -217,9 +217,9 @@ class Sumo:
         A driver keeps to its limits of acceleration and braking, and never exceeds the speed that is safe behind its
         leader. A driver without a given speed decides by itself. Absent vehicles and those taken are left alone.
         """
-        present, taken = self._known.present, self._modes
+        free = self._known.present - self._modes.keys()
         for vehicle in vehicles:
-            if vehicle in present and vehicle not in taken:
+            if vehicle in free:
                 _set_speed(vehicle, speeds.get(vehicle, _OWN_SPEED))
 
     def route_ahead(self, vehicle: str) -> tuple[str, ...]:
@@ -255,16 +255,24 @@ def sumo(arguments: Sequence[str], log: Path) -> Iterator[Sumo]:
         raise SumoError("a simulation is already running in this process; run the second one in a process of its own")
     _running = True
     try:
-        _start(arguments)
-        world = Sumo()
-        try:
-            yield world
-        finally:
-            world._close()
-    except _NATIVE_ERRORS as error:
-        raise SumoError(_native_message(error, log)) from error
+        with sumo_errors(log):
+            _start(arguments)
+            world = Sumo()
+            try:
+                yield world
+            finally:
+                world._close()
     finally:
         _running = False
+
+
+@contextmanager
+def sumo_errors(log: Path) -> Iterator[None]:
+    """Turn what libsumo raises into SumoError with SUMO's own message from its log."""
+    try:
+        yield
+    except _NATIVE_ERRORS as error:
+        raise SumoError(_native_message(error, log)) from error
 
 
 def _start(arguments: Sequence[str]) -> None:

@@ -46,7 +46,10 @@ class Surroundings:
         for now in snapshots:
             if now.ids is not ids and now.ids != ids:  # in most steps no vehicle enters or leaves
                 ids = now.ids
-                codes = np.array([number.setdefault(name, len(number)) for name in ids], dtype=np.int32)
+                for name in ids:
+                    if name not in number:
+                        number[name] = len(number)
+                codes = np.fromiter(map(number.__getitem__, ids), np.int32, len(ids))
             vehicle.append(codes)
         count = [len(codes) for codes in vehicle]
         return cls(
