@@ -37,7 +37,9 @@ class PreparedProcess:
             self.pipe.send(task)
 
     def answer(self) -> TaskResult | None:
-        """How the task ended; None where the preparation cannot be entered. Raises `EOFError` or `OSError` if the process died."""
+        """How the task ended; None where the preparation cannot be entered. Raises `EOFError` or
+        `OSError` if the process died.
+        """
         return self.pipe.recv()
 
     def end(self) -> str:
