@@ -17,8 +17,9 @@ import msgspec
 from cosim.batch.run_matrix import PACKAGES, Run
 from cosim.batch.spec import Batch
 from cosim.batch.store import BatchStore
-from cosim.process.task import Task, TaskResult, TaskResults
+from cosim.process.task import Preparation, Task, TaskResult, TaskResults
 from cosim.runs.run_reading import read_json
+from cosim.spec.warm_up import warm_up_key
 
 Executor = Callable[[deque[Task], float], TaskResults]  # (queue, time limit [s])
 NOT_RETRIED = ("input",)  # kinds of failure that a second attempt cannot fix
@@ -60,7 +61,9 @@ def execute(
         tally = Tally(len(runs), len(done), len(failed - done))
         attempts: Counter[str] = Counter()
         reasons: dict[str, list[dict[str, Any]]] = {}
-        queue = deque(_task(run, store, 0) for run in runs if run.id not in done | failed)
+        left = [run for run in runs if run.id not in done | failed]
+        warm_ups = _shared_warm_ups(left)
+        queue = deque(_task(run, store, 0, warm_ups) for run in sorted(left, key=lambda run: warm_ups[run.id][0]))
         tell(tally)
         _write_record(
             lambda: store.write_manifest(manifest(batch, runs, store, file))
@@ -76,7 +79,7 @@ def execute(
                     else:
                         reasons.setdefault(run.id, []).append({"kind": answer.kind, "message": answer.message})
                         if answer.kind not in NOT_RETRIED and attempts[run.id] <= batch.retries:
-                            queue.append(_task(run, store, attempts[run.id]))
+                            queue.append(_task(run, store, attempts[run.id], warm_ups))
                         else:
                             _write_record(lambda: store.fail(run.id, _failure(run, reasons[run.id])))  # noqa: B023
                             tally = replace(tally, failed=tally.failed + 1)
@@ -88,9 +91,27 @@ def execute(
         return tally
 
 
-def _task(run: Run, store: BatchStore, attempt: int) -> Task:
-    arguments = run.scenario, msgspec.to_builtins(run.cell), run.key
-    return Task(run.id, "cosim.batch.run_task:run_task", arguments, store.attempt_folder(run.id, attempt))
+WarmUps = Mapping[str, tuple[int, Preparation | None]]
+"""By the id of a run: its place in the queue, the same for all that share a warm-up, and the warm-up."""
+
+
+def _shared_warm_ups(runs: Sequence[Run]) -> WarmUps:
+    """The warm-ups that several runs share; runs alone have none."""
+    keys = [warm_up_key(run.scenario) for run in runs]
+    count, place, found = Counter(keys), {key: k for k, key in reversed([*enumerate(keys)])}, {}
+    for k, (run, key) in enumerate(zip(runs, keys, strict=True)):
+        if key and count[key] > 1:
+            preparation = Preparation(key, "cosim.runs.shared_warm_up:shared_warm_up", (run.scenario,))
+            found[run.id] = place[key], preparation
+        else:
+            found[run.id] = k, None
+    return found
+
+
+def _task(run: Run, store: BatchStore, attempt: int, warm_ups: WarmUps) -> Task:
+    arguments, preparation = (run.scenario, msgspec.to_builtins(run.cell), run.key), warm_ups[run.id][1]
+    folder = store.attempt_folder(run.id, attempt)
+    return Task(run.id, "cosim.batch.run_task:run_task", arguments, folder, preparation)
 
 
 def _published(answer: TaskResult, store: BatchStore) -> TaskResult:

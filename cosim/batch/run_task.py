@@ -13,6 +13,7 @@ from cosim.runs.policy_loading import policy_of
 from cosim.runs.run_job import run_job
 from cosim.runs.share_job import run_share_job
 from cosim.runs.share_policies import share_plans
+from cosim.runs.shared_warm_up import SharedWarmUp
 from cosim.spec.scenario import Scenario
 from gri.errors import InputError
 
@@ -30,8 +31,12 @@ def check_policies(runs: Sequence[Run], tell: Callable[..., None]) -> None:
             raise InputError(f"{run.cell}: {error}") from None
 
 
-def run_task(folder: Path, scenario: Scenario, labels: Mapping[str, Any], key: str) -> None:
+def run_task(
+    folder: Path, scenario: Scenario, labels: Mapping[str, Any], key: str, prepared: SharedWarmUp | None = None
+) -> None:
     """Do one run of a batch into its folder (the function of a `cosim.process.task.Task`).
+
+    `prepared` is the warm-up that it shares with others, if there are any.
 
     Errors: `InputError` where the key differs from the one that the run has here, and those of `run_job`.
     """
@@ -45,4 +50,12 @@ def run_task(folder: Path, scenario: Scenario, labels: Mapping[str, Any], key: s
     of_counterparts = {**labels, "policy": LEFT_TO_SUMO}
     if perturbed_traffic(scenario).traffic == scenario.traffic:  # what is perturbed is the driven group only
         of_counterparts |= {"perturbation": NOMINAL, "intensity": None}
-    run_job(scenario, folder, lambda *_: None, labels=labels, counterpart_labels=of_counterparts, draw=False)
+    run_job(
+        scenario,
+        folder,
+        lambda *_: None,
+        labels=labels,
+        counterpart_labels=of_counterparts,
+        draw=False,
+        prepared=prepared,
+    )

@@ -81,6 +81,15 @@ class Branch:
     result: Callable[[], BranchResult]
 
 
+@dataclass(frozen=True)
+class WarmTraffic:
+    """A simulation at the end of its warm-up: what SUMO was started with, what runs, and the trunk."""
+
+    inputs: SimulationInput
+    running: RunningSimulation
+    trunk: Trunk
+
+
 def run(
     scenario: Scenario,
     files: SumoFiles,
@@ -102,6 +111,15 @@ def run(
     """
     inputs = prepare_simulation(scenario, files, scenario.time_limit)
     inputs.write()
+    with simulation(inputs) as running:
+        trunk = Trunk(running, inputs.scenario)
+        trunk.warm_up(progress)
+        return run_on(WarmTraffic(inputs, running, trunk), driver, progress, forking=forking)
+
+
+def run_on(warm: WarmTraffic, driver: Driver | None, progress: Progress, *, forking: bool = CAN_FORK) -> Outcome:
+    """`run`, from the end of the warm-up on."""
+    inputs, running, trunk = warm.inputs, warm.running, warm.trunk
     scenario = inputs.scenario
     left: list[Episode] = []
     driven: dict[Group, Episode] = {}
@@ -110,46 +128,43 @@ def run(
     in_branches = SumoCounts()
     effects: list[Effect] = []
     without_branches = driver is None and not scenario.perturbations
-    with simulation(inputs) as running:
-        trunk = Trunk(running, scenario)
-        trunk.warm_up(progress)
-        while len(left) < scenario.episodes and trunk.time < inputs.end:
-            progress("episodes", len(left), scenario.episodes)
-            history = trunk.observe_history()
-            found = trunk.find_groups(history, limit=scenario.episodes - len(left))
-            rounds = [dataclasses.replace(found, groups=groups) for groups in isolated(found.groups, history[-1])]
-            planned = [(asked, intervention_for(scenario, history[-1], asked)) for asked in rounds]
-            excluded += [pair for _, intervention in planned for pair in intervention.excluded]
-            feasible = {group for _, intervention in planned for group in intervention.round.groups}
-            if not feasible:
-                continue
-            in_branches += _collect(branches, driven, effects)  # they ran while the trunk went on
-            branches = [
-                _forked(running, history, intervention, driver)
-                if forking
-                else _replayed(inputs, trunk.steps, asked, driver)
-                for asked, intervention in planned
-                if intervention.round.groups and not without_branches
-            ]
-            together = tuple(group for group in found.groups if group in feasible)
-            episodes, speeds = trunk.leave_to_sumo(history, dataclasses.replace(found, groups=together))
-            left += episodes
-            for branch in branches:
-                branch.go_on(speeds)
+    while len(left) < scenario.episodes and trunk.time < inputs.end:
         progress("episodes", len(left), scenario.episodes)
-        in_branches += _collect(branches, driven, effects)
-        left = [compared(episode, episode) for episode in left]
-        return Outcome(
-            episodes=tuple(left if without_branches else (compared(driven[own.group], own) for own in left)),
-            left_to_sumo=tuple(left),
-            excluded=tuple(excluded),
-            search=trunk.search,
-            simulated=trunk.time,
-            trunk=SumoCounts(running.world.teleports, running.world.collision_steps),
-            branches=in_branches,
-            backlog=trunk.backlog,
-            effects=tuple(effects),
-        )
+        history = trunk.observe_history()
+        found = trunk.find_groups(history, limit=scenario.episodes - len(left))
+        rounds = [dataclasses.replace(found, groups=groups) for groups in isolated(found.groups, history[-1])]
+        planned = [(asked, intervention_for(scenario, history[-1], asked)) for asked in rounds]
+        excluded += [pair for _, intervention in planned for pair in intervention.excluded]
+        feasible = {group for _, intervention in planned for group in intervention.round.groups}
+        if not feasible:
+            continue
+        in_branches += _collect(branches, driven, effects)  # they ran while the trunk went on
+        branches = [
+            _forked(running, history, intervention, driver)
+            if forking
+            else _replayed(inputs, trunk.steps, asked, driver)
+            for asked, intervention in planned
+            if intervention.round.groups and not without_branches
+        ]
+        together = tuple(group for group in found.groups if group in feasible)
+        episodes, speeds = trunk.leave_to_sumo(history, dataclasses.replace(found, groups=together))
+        left += episodes
+        for branch in branches:
+            branch.go_on(speeds)
+    progress("episodes", len(left), scenario.episodes)
+    in_branches += _collect(branches, driven, effects)
+    left = [compared(episode, episode) for episode in left]
+    return Outcome(
+        episodes=tuple(left if without_branches else (compared(driven[own.group], own) for own in left)),
+        left_to_sumo=tuple(left),
+        excluded=tuple(excluded),
+        search=trunk.search,
+        simulated=trunk.time,
+        trunk=SumoCounts(running.world.teleports, running.world.collision_steps),
+        branches=in_branches,
+        backlog=trunk.backlog,
+        effects=tuple(effects),
+    )
 
 
 def _collect(branches: Sequence[Branch], driven: dict[Group, Episode], effects: list[Effect]) -> SumoCounts:

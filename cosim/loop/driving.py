@@ -21,13 +21,13 @@ from cosim.loop.state_layouts import layout_of
 from cosim.loop.take_over_and_hand_back import Control, PolicyControl, SumoControl
 from cosim.spec.scenario import AFTERMATH, GraphSource, Inferred
 from cosim.sumo import Sumo
-from cosim.world.break_ups import lane_entries, with_cause
+from cosim.world.break_ups import earlier_positions, lane_entries, with_cause
 from cosim.world.contacts import contacts_of
 from cosim.world.episode import COLUMNS, Contact, Episode, Event, EventKind
 from cosim.world.groups import order_of
 from cosim.world.road_frame import RoadFrame
 from cosim.world.snapshot import Snapshot
-from cosim.world.surroundings import Surroundings
+from cosim.world.surroundings import Instant, Surroundings
 from gri.core.graph import InteractionGraph
 from gri.core.policy import Policy
 
@@ -123,7 +123,7 @@ def drive(world: Sumo, road: RoadFrame, start: RoundStart) -> list[Episode]:
     """Drive (or only record) the groups of a round until all have ended, then watch them; one Episode per group."""
     this_round, control, intervention = start.round, start.control, start.intervention
     now, observations = start.now, [*start.observations]
-    around = [now]
+    around: list[Snapshot | Instant] = [now]
     rows = observations[-1].rows
     length, width = now.length[rows], now.width[rows]
     recorder, trace = RoundRecorder(this_round, width), []
@@ -136,8 +136,8 @@ def drive(world: Sumo, road: RoadFrame, start: RoundStart) -> list[Episode]:
         control.command(world, road, active, now)
         intervention.command(world, road, step, control.roles, now)
         report, step = world.step(), step + 1
-        now, observation = intervention.observe(world, road, before)
-        around.append(world.snapshot(road) if this_round.reads_all else now)
+        now, observation, recorded = intervention.observe(world, road)
+        around.append(recorded)
         observation = control.verify(observation, active, recorder)
         recorder.judge(observation, before, now, report, last=step == this_round.driven_steps)
         recorder.end_failed(control.failures, before.time, now.time)
@@ -149,8 +149,8 @@ def drive(world: Sumo, road: RoadFrame, start: RoundStart) -> list[Episode]:
         control.command(world, road, (), now)
         intervention.command(world, road, watched, control.roles, now)
         world.step()
-        now, observation = intervention.observe(world, road, observations[-1])
-        around.append(world.snapshot(road) if this_round.reads_all else now)
+        now, observation, recorded = intervention.observe(world, road)
+        around.append(recorded)
         observations.append(observation.with_last_known_states(observations[-1]))
         trace.append(now)
     episodes = _episodes(recorder, control, observations, Surroundings.of(around), length, width)
@@ -165,9 +165,9 @@ def _judged(
 ) -> list[Episode]:
     """The episodes with their contacts, and with what broke them up; `trace` are the snapshots after the take-over."""
     names = [intervention.names(g) for g in range(len(episodes))]
-    ends, found = [episode.end for episode in episodes], []
+    ends, found, earlier = [episode.end for episode in episodes], [], earlier_positions(takeover, trace)
     for g, contacts in enumerate(contacts_of(trace, names, ends)):
-        entries = lane_entries(takeover, trace, [*names[g]], ends[g])
+        entries = lane_entries(takeover, trace, [*names[g]], ends[g], earlier)
         events = [Event(c.time, EventKind.CONTACT, c.vehicles, _detail(c)) for c in contacts]
         events = tuple(sorted([*events, *episodes[g].events], key=lambda event: event.time))
         episode = replace(episodes[g], contacts=contacts, lane_entries=entries, events=events)

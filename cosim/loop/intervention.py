@@ -26,6 +26,10 @@ from cosim.world.episode import COLUMNS, CUTTER
 from cosim.world.groups import SAME_LANE, Group
 from cosim.world.road_frame import RoadFrame
 from cosim.world.snapshot import Snapshot, is_near, rows_of
+from cosim.world.surroundings import Instant
+
+Observed = tuple[Snapshot, GroupObservation, Snapshot | Instant]
+"""The vehicles near a round, its groups, and the vehicles to record."""
 
 PHANTOM_AHEAD = 500.0  # [m], where the phantom of a removed vehicle drives
 _S, _D, _X, _Y, _HEADING, _V, _A = (COLUMNS.index(name) for name in ("s", "d", "x", "y", "heading", "v", "a"))
@@ -162,13 +166,12 @@ class Intervention:
         """Displaced vehicles that no policy drives, with their roles."""
         return {group.ids[r]: r for r in range(3) if change.moved[r] and r not in driven_roles}
 
-    def observe(self, world: Sumo, road: RoadFrame, before: GroupObservation) -> tuple[Snapshot, GroupObservation]:
-        """The vehicles near the round after a step, and its groups.
+    def observe(self, world: Sumo, road: RoadFrame) -> Observed:
+        """The vehicles near the round after a step, its groups, and the vehicles to record.
 
         A vehicle that has cut in is vehicle 2 of its group. A removed vehicle 2 is a phantom.
         """
-        del before
-        now = world.snapshot(road, self.vehicles)
+        now, recorded = _read(world, road, self.round, self.vehicles)
         self.snapshots.append(now.only(is_near(now.s, now.d, rows_of(now.ids, self.vehicles))))
         arrived = [change.has_arrived(now) for change in self.changes]
         groups = [
@@ -176,7 +179,9 @@ class Intervention:
             for group, change, there in zip(self.round.groups, self.changes, arrived, strict=True)
         ]
         observation = GroupObservation.of(now, groups)
-        return now, self._with_substitute_leader(observation, road) if self.removes_third else observation
+        if self.removes_third:
+            observation = self._with_substitute_leader(observation, road)
+        return now, observation, recorded
 
     def _with_substitute_leader(self, observation: GroupObservation, road: RoadFrame) -> GroupObservation:
         """The observation with vehicle 2 far ahead at the speed it had at the take-over."""
@@ -247,18 +252,25 @@ class NoIntervention:
         if self.ahead is not None:
             self.ahead.repeat(world, step)
 
-    def observe(self, world: Sumo, road: RoadFrame, before: GroupObservation) -> tuple[Snapshot, GroupObservation]:
-        """The vehicles near the round after a step, and its groups."""
-        del before
+    def observe(self, world: Sumo, road: RoadFrame) -> Observed:
+        """The vehicles near the round after a step, its groups, and the vehicles to record."""
         if self.recorded is not None:
             self.recorded.record(world)
-        now = world.snapshot(road, self.round.vehicles)
-        return now, GroupObservation.of(now, self.round.groups)
+        now, recorded = _read(world, road, self.round, self.round.vehicles)
+        return now, GroupObservation.of(now, self.round.groups), recorded
 
     def shown_to_policy(self, observation: GroupObservation, now: Snapshot) -> GroupObservation:
         """The observation as it is."""
         del now
         return observation
+
+
+def _read(world: Sumo, road: RoadFrame, this_round: Round, vehicles: list[str]) -> tuple[Snapshot, Snapshot | Instant]:
+    """The vehicles near to the given ones, and those to record: all, if the round reads all."""
+    if this_round.reads_all:
+        return world.near_and_all(road, vehicles)
+    now = world.snapshot(road, vehicles)
+    return now, now
 
 
 def _place(world: Sumo, road: RoadFrame, vehicle: str, s: float, d: float, heading: float, v: float) -> None:

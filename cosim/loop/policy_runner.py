@@ -133,6 +133,8 @@ class PolicyRunner:
 
     def _usable(self, action: Float[Tensor, "G 3 A"]) -> Float[Tensor, "G 3 A"]:
         """The action with 0 for what no vehicle can do; a group with such an action of a driven vehicle has failed."""
+        if (np.abs(action.numpy()) <= LARGEST).all():
+            return action
         right = (action.isfinite() & (action.abs() <= LARGEST)).all(-1)
         for g in (~right[:, self._driven_roles].all(-1)).nonzero()[:, 0].tolist():
             wrong = action[g, self._driven_roles][~right[g, self._driven_roles]][0].tolist()

@@ -34,6 +34,12 @@ class Trunk:
         self._history: deque[Snapshot] = deque(maxlen=scenario.steps(scenario.history))
         self.steps, self.time, self.search, self.backlog = 0, 0.0, GroupSearch(), Backlog()
 
+    def copied_for(self, scenario: Scenario) -> "Trunk":
+        """A trunk of the same simulation, where this one is after the warm-up, that goes on by another scenario."""
+        other = Trunk(self._running, scenario)
+        other.steps, other.time, other.backlog = self.steps, self.time, self.backlog
+        return other
+
     def _step(self) -> None:
         report = self._running.world.step()
         self.steps, self.time = self.steps + 1, report.time

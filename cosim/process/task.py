@@ -14,17 +14,32 @@ LOG = "sumo.log"  # in the folder of a task: what SUMO and everything else print
 
 
 @dataclass(frozen=True)
+class Preparation:
+    """What all tasks with the same `key` begin with: the context manager `function(*arguments)`, entered once.
+
+    The function is named as "module:function". Each of these tasks is done in a copy of the process that entered it,
+    and its function gets the value of the context manager as the keyword `prepared`. Where it cannot be entered, each
+    task is done without it.
+    """
+
+    key: str
+    function: str
+    arguments: tuple[Any, ...]
+
+
+@dataclass(frozen=True)
 class Task:
     """One attempt at a piece of work: call `function(folder, *arguments)`.
 
     The function is named as "module:function", so that the process that asks need not import it. The folder does not
-    exist yet; the worker makes it. Arguments and result must be picklable.
+    exist yet; the worker makes it. Arguments and result must be picklable. Tasks may share a `preparation`.
     """
 
     name: str  # of the work, the same for every attempt
     function: str
     arguments: tuple[Any, ...]
     folder: Path
+    preparation: Preparation | None = None
 
 
 @dataclass(frozen=True)
@@ -54,12 +69,15 @@ def function_named(name: str) -> Callable[..., Any]:
     return getattr(import_module(module), function)
 
 
-def perform(task: Task) -> TaskResult:
-    """Do a task in this process, which prints into the folder of the task from now on; failures become answers."""
+def perform(task: Task, **prepared: Any) -> TaskResult:
+    """Do a task in this process, which prints into the folder of the task from now on; failures become answers.
+
+    `prepared` is the value of its preparation, if that was entered.
+    """
     try:
         task.folder.mkdir(parents=True)
         print_to(task.folder / LOG)
-        value = function_named(task.function)(task.folder, *task.arguments)
+        value = function_named(task.function)(task.folder, *task.arguments, **prepared)
     except InputError as error:
         return TaskResult(task.name, task.folder, "input", str(error))
     except OSError as error:  # such as a full disk, which would not hold a traceback either

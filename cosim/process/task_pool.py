@@ -9,6 +9,7 @@ import os
 import signal
 import time
 from collections import deque
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from multiprocessing import get_context
@@ -17,6 +18,7 @@ from multiprocessing.process import BaseProcess
 
 from cosim.process.failures import exit_cause, last_lines
 from cosim.process.fork import CAN_FORK, Branch, BranchError, fork
+from cosim.process.prepared_process import PreparedProcess
 from cosim.process.task import LOG, Task, TaskResult, TaskResults, function_named, perform
 
 START_UP = 120.0  # [s] that a worker may take to import everything
@@ -34,7 +36,7 @@ def run_local(queue: deque[Task], time_limit: float, *, workers: int) -> TaskRes
             for k in range(workers):
                 if queue and (k == len(crew) or crew[k].task is None):
                     crew[k : k + 1] = [alive_or_new(crew[k] if k < len(crew) else None)]
-                    crew[k].begin(queue.popleft(), time_limit)
+                    crew[k].begin(_next_task(queue, crew[k], crew), time_limit)
             busy = [worker for worker in crew if worker.task]
             wait([worker.pipe for worker in busy], timeout=min(worker.time_left for worker in busy))
             for worker in busy:
@@ -45,8 +47,25 @@ def run_local(queue: deque[Task], time_limit: float, *, workers: int) -> TaskRes
             worker.end()
 
 
+def _next_task(queue: deque[Task], worker: "Worker", crew: Sequence["Worker"]) -> Task:
+    """Take a task for a worker: one for which it is prepared, or else one for which no other worker is."""
+    others = {other.key for other in crew if other is not worker} - {""}
+    own = (k for k, task in enumerate(queue) if worker.key and key_of(task) == worker.key)
+    free = (k for k, task in enumerate(queue) if key_of(task) not in others)
+    k = next(own, None)
+    k = next(free, 0) if k is None else k
+    task = queue[k]
+    del queue[k]
+    return task
+
+
+def key_of(task: Task) -> str:
+    """The key of a task's preparation; "" where it has none."""
+    return task.preparation.key if task.preparation is not None else ""
+
+
 class Worker:
-    """A worker process and the task that it does at present."""
+    """A worker process, the task that it does at present, and the `key` of what it is prepared for."""
 
     def __init__(self) -> None:
         context = get_context("spawn")
@@ -55,6 +74,7 @@ class Worker:
         self._process.start()
         theirs.close()
         self.task: Task | None = None
+        self.key = ""
         self._deadline = self._began = self._limit = 0.0
         self._imported: set[str] = set()
 
@@ -68,7 +88,7 @@ class Worker:
         return max(self._deadline - time.monotonic(), 0)
 
     def begin(self, task: Task, time_limit: float) -> None:
-        self.task, self._limit = task, time_limit
+        self.task, self._limit, self.key = task, time_limit, key_of(task)
         self._start_clock(0.0 if task.function in self._imported else START_UP)
         with suppress(OSError):  # the worker died meanwhile; `answer` notices that its pipe is closed
             self.pipe.send(task)
@@ -141,6 +161,7 @@ def _serve(pipe: Connection) -> None:
     """The worker process: one task after the other until the other end of the pipe is closed."""
     if hasattr(os, "setsid"):
         os.setsid()  # the command handles Ctrl-C, and ending a worker ends its whole group
+    prepared: PreparedProcess | None = None
     while True:
         try:
             task: Task = pipe.recv()
@@ -152,11 +173,38 @@ def _serve(pipe: Connection) -> None:
         if not CAN_FORK:
             pipe.send(perform(task))
             return
-        answer = _answer_of(fork(lambda: _perform_in_copy(task, pipe)), task, pipe)  # noqa: B023
+        if prepared is not None and prepared.key != key_of(task):
+            prepared.end()
+            prepared = None
+        answer = None
+        if task.preparation is not None:
+            prepared = prepared or PreparedProcess(task.preparation, [pipe])
+            answer = _answer_of_copy(prepared, task, pipe)
+            if answer is None:  # it cannot be prepared
+                prepared.end()
+                prepared = None
+        answer = answer or _answer_of(fork(lambda: _perform_in_copy(task, pipe)), task, pipe)  # noqa: B023
         if answer is None:
             return
         with suppress(OSError):
             pipe.send(answer)
+
+
+def _answer_of_copy(prepared: PreparedProcess, task: Task, pipe: Connection) -> TaskResult | None:
+    """The answer of a task that is done in a copy of a prepared process; None where that cannot be prepared.
+
+    Where that process died, or the other end of the pipe is closed, this worker ends with all that it started.
+    """
+    prepared.begin(task)
+    try:
+        if pipe not in wait([prepared.pipe, pipe]):
+            return prepared.answer()
+    except (EOFError, OSError):
+        message = f"the process of its warm-up died ({prepared.end()})"
+        with suppress(OSError):
+            pipe.send(TaskResult(task.name, task.folder, "died", message))
+    os.killpg(0, signal.SIGKILL)
+    return None
 
 
 def _perform_in_copy(task: Task, pipe: Connection) -> TaskResult:

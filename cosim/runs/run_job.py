@@ -15,6 +15,7 @@ from cosim.loop.closed_loop import run
 from cosim.perturb.effects import effects_table
 from cosim.runs import run_tables
 from cosim.runs.policy_loading import driver_of
+from cosim.runs.shared_warm_up import SharedWarmUp
 from cosim.runs.surroundings_table import write_surroundings
 from cosim.runs.traffic_effects import traffic_effects
 from cosim.runs.traffic_survey import Survey, survey
@@ -49,6 +50,7 @@ def run_job(
     counterpart_labels: Mapping[str, Any] | None = None,
     draw: bool = True,
     policy: Policy | None = None,
+    prepared: SharedWarmUp | None = None,
 ) -> None:
     """Run a scenario and write its tables, its manifest and a picture into an existing folder.
 
@@ -60,6 +62,7 @@ def run_job(
         counterpart_labels: the same for the counterparts table; by default `labels`.
         draw: whether to draw a picture of one episode.
         policy: a policy object that takes the place of the one that the scenario names.
+        prepared: the traffic at the end of the warm-up, in a copy of the process that runs it.
 
     Raises:
         InputError: the scenario cannot be run as it is.
@@ -69,11 +72,16 @@ def run_job(
     with tempfile.TemporaryDirectory() as scratch:
         files = SumoFiles(inputs["net"], Path(scratch, "routes.rou.xml"), folder / "sumo.log")
         try:
-            outcome = run(scenario, files, driver, tell)
+            if prepared is None:
+                outcome = run(scenario, files, driver, tell)
+            else:
+                outcome = prepared.run(scenario, files.log, driver, tell)
             effects = effects_table([*outcome.effects, *traffic_effects(scenario, tell)])
         except SumoError as error:
             raise InputError(f"SUMO refused the scenario: {error}") from error
-        routes = None if scenario.traffic.has_own_files else sha256(files.routes)
+        routes = (
+            None if scenario.traffic.has_own_files else prepared.routes_sha256 if prepared else sha256(files.routes)
+        )
     if not outcome.episodes:
         why = why_not_more(tag_of(scenario.group), outcome.search.seen, outcome.search.failed)
         raise InputError(

@@ -9,4 +9,5 @@ from cosim.sumo.net import Net as Net
 from cosim.sumo.simulation import Sumo as Sumo
 from cosim.sumo.simulation import SumoError as SumoError
 from cosim.sumo.simulation import sumo as sumo
+from cosim.sumo.simulation import sumo_errors as sumo_errors
 from cosim.sumo.simulation import version as version

@@ -11,20 +11,20 @@ import os
 import sys
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from itertools import chain
 from pathlib import Path
 from tempfile import TemporaryFile
 
 import libsumo
-import numpy as np
 
 from cosim.sumo.bends import slow_before_bends
 from cosim.sumo.cache import CachedVehicleValues
 from cosim.sumo.drivers import Drivers
 from cosim.sumo.net import Net
-from cosim.sumo.positions import SHADOW, PositionReader, without_shadows
-from cosim.world.road_frame import RoadFrame, heading_of, sumo_angle_of
+from cosim.sumo.positions import SHADOW, without_shadows
+from cosim.sumo.states import StateReader
+from cosim.world.road_frame import RoadFrame, sumo_angle_of
 from cosim.world.snapshot import LANE_AHEAD, Snapshot, StepReport
+from cosim.world.surroundings import Instant
 
 _NO_CHECKS = 0  # speed mode: SUMO neither bounds nor corrects the commanded speed
 _OWN_SPEED = -1.0  # setSpeed: SUMO's driver decides on the speed again
@@ -33,11 +33,9 @@ _ACCELERATION_CHECKS = 0b110  # speed mode: SUMO bounds acceleration and braking
 _KEEP_ROUTE_EXACT_POSITION = 3  # moveToXY: keep the route (1) and do not snap to the lane (2)
 _GIVEN_LANE_EXACT_POSITION = 2  # moveToXY: on the edge and lane that the call names, and do not snap to it
 
-# libsumo's functions without their Python wrappers, for what is read of every vehicle in every step: half the time
-_raw = libsumo._libsumo
-_angle, _lane = _raw.vehicle_getAngle, _raw.vehicle_getLaneID
-_speed, _acceleration = _raw.vehicle_getSpeed, _raw.vehicle_getAcceleration
-_set_speed, _move = _raw.vehicle_setSpeed, _raw.vehicle_moveToXY
+# libsumo's functions without their Python wrappers, for what is called often: half the time
+_speed = libsumo._libsumo.vehicle_getSpeed
+_set_speed, _move = libsumo._libsumo.vehicle_setSpeed, libsumo._libsumo.vehicle_moveToXY
 _NATIVE_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
 
 
@@ -50,9 +48,9 @@ class Sumo:
 
     def __init__(self) -> None:
         self._sizes = CachedVehicleValues(lambda v: (libsumo.vehicle.getLength(v), libsumo.vehicle.getWidth(v)))
-        nobody = (), np.empty(0), np.empty(0)
-        self._sized: dict[bool, tuple[tuple[str, ...], np.ndarray, np.ndarray]] = {True: nobody, False: nobody}
-        self.net, self.drivers, self._positions = Net(), Drivers(self._sizes), PositionReader(self.is_taken)
+        self.net, self.drivers = Net(), Drivers(self._sizes)
+        self._states = StateReader(self._sizes, self.is_taken)
+        self._known = self._states.positions.known
         self._modes: dict[str, tuple[int, int]] = {}  # (speed mode, lane-change mode) before take-over
         self._returning: dict[str, tuple[float, float]] = {}  # (time headway, minimum gap) before the hand-back
         self._shadowed: set[str] = set()  # vehicles that have a shadow vehicle
@@ -68,7 +66,7 @@ class Sumo:
         libsumo.simulationStep()
         self._commanded.clear()
         arrived = libsumo.simulation.getArrivedIDList()
-        self._positions.update(arrived)
+        self._states.positions.update(arrived)
         pairs = [(hit.collider, hit.victim) for hit in libsumo.simulation.getCollisions()]
         report = StepReport(
             time=libsumo.simulation.getTime(),
@@ -91,28 +89,11 @@ class Sumo:
 
         `lane_ahead` [m] is the distance along the lane that counts as near (see `is_near`).
         """
-        if around is None:
-            ids, xy, s, d = self._positions.of_all(road, span)
-        else:
-            ids, xy, s, d = self._positions.of_nearby(road, tuple(around), lane_ahead)
-        everybody = around is None  # the two kinds of snapshots take turns where surroundings are recorded
-        if ids != self._sized[everybody][0]:
-            sizes = np.array([*chain.from_iterable(map(self._sizes.__getitem__, ids))], dtype=float).reshape(-1, 2)
-            self._sized[everybody] = ids, sizes[:, 0].copy(), sizes[:, 1].copy()
-        angle, v, a = np.array([[*map(read, ids)] for read in (_angle, _speed, _acceleration)], dtype=float)
-        return Snapshot(
-            time=libsumo.simulation.getTime(),
-            ids=ids,
-            xy=xy,
-            heading=heading_of(angle),
-            v=v,
-            a=a,
-            s=s,
-            d=d,
-            length=self._sized[everybody][1],
-            width=self._sized[everybody][2],
-            lane=tuple(map(_lane, ids)),
-        )
+        return self._states.snapshot(road, around, lane_ahead, span)
+
+    def near_and_all(self, road: RoadFrame, around: Sequence[str]) -> tuple[Snapshot, Instant]:
+        """The snapshot of the vehicles near to those `around` and some more, and all vehicles as they are recorded."""
+        return self._states.near_and_all(road, around)
 
     def take(self, vehicle: str) -> None:
         """Take a vehicle from SUMO's drivers; from now on it must be commanded in every step."""
@@ -151,6 +132,7 @@ class Sumo:
 
     def add(self, vehicle: str, route: str, kind: str, length: float, width: float, speed: float) -> None:
         """Add a vehicle of the type `kind` [m, m/s]; it enters the net where its first command puts it."""
+        self._known.can_be_kept = False  # it is on the net from its first command on, without having departed
         libsumo.vehicle.add(vehicle, route, kind, departSpeed=f"{speed:.3f}")
         libsumo.vehicle.setLength(vehicle, length)
         libsumo.vehicle.setWidth(vehicle, width)
@@ -187,6 +169,7 @@ class Sumo:
         """Remove a vehicle from the simulation, at once."""
         self._modes.pop(vehicle, None)
         self._returning.pop(vehicle, None)
+        self._known.forget()
         libsumo.vehicle.remove(vehicle)
 
     def begin_release(self, vehicle: str) -> None:
@@ -225,7 +208,7 @@ class Sumo:
 
     def speeds(self, vehicles: Iterable[str]) -> dict[str, float]:
         """Speeds [m/s] of those of the vehicles that are in the simulation."""
-        present = {*libsumo.vehicle.getIDList()}
+        present = self._known.present
         return {vehicle: _speed(vehicle) for vehicle in vehicles if vehicle in present}
 
     def ask_for_speeds(self, vehicles: Iterable[str], speeds: Mapping[str, float]) -> None:
@@ -234,7 +217,7 @@ class Sumo:
         A driver keeps to its limits of acceleration and braking, and never exceeds the speed that is safe behind its
         leader. A driver without a given speed decides by itself. Absent vehicles and those taken are left alone.
         """
-        free = {*libsumo.vehicle.getIDList()} - self._modes.keys()
+        free = self._known.present - self._modes.keys()
         for vehicle in vehicles:
             if vehicle in free:
                 _set_speed(vehicle, speeds.get(vehicle, _OWN_SPEED))
@@ -272,16 +255,24 @@ def sumo(arguments: Sequence[str], log: Path) -> Iterator[Sumo]:
         raise SumoError("a simulation is already running in this process; run the second one in a process of its own")
     _running = True
     try:
-        _start(arguments)
-        world = Sumo()
-        try:
-            yield world
-        finally:
-            world._close()
-    except _NATIVE_ERRORS as error:
-        raise SumoError(_native_message(error, log)) from error
+        with sumo_errors(log):
+            _start(arguments)
+            world = Sumo()
+            try:
+                yield world
+            finally:
+                world._close()
     finally:
         _running = False
+
+
+@contextmanager
+def sumo_errors(log: Path) -> Iterator[None]:
+    """Turn what libsumo raises into SumoError with SUMO's own message from its log."""
+    try:
+        yield
+    except _NATIVE_ERRORS as error:
+        raise SumoError(_native_message(error, log)) from error
 
 
 def _start(arguments: Sequence[str]) -> None:

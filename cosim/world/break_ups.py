@@ -6,6 +6,7 @@ counterpart, the same group in the same traffic left to SUMO.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 from jaxtyping import Float
@@ -20,27 +21,36 @@ NEAR_GROUP = 50.0  # [m] behind the last and ahead of the first member, in which
 
 
 def lane_entries(
-    takeover: Snapshot, trace: Sequence[Snapshot], members: Sequence[str], end: float
+    takeover: Snapshot,
+    trace: Sequence[Snapshot],
+    members: Sequence[str],
+    end: float,
+    earlier: Sequence[np.ndarray] | None = None,
 ) -> tuple[LaneEntry, ...]:
     """Outsiders that changed into the lane of the group, near the group, until AFTERMATH after its hand-back at `end`.
 
     `trace` are the snapshots after the take-over. The lane of the group is that of vehicle 1 at the take-over: the lane
-    of all members in car following, the target lane of a merge.
+    of all members in car following, the target lane of a merge. `earlier` is what `earlier_positions` gives, which is
+    the same for all groups.
     """
     lane = takeover.d[takeover.row_of[members[1]]]
-    found, before = [], takeover
-    for now in trace:
+    found: list[LaneEntry] = []
+    for now, d in zip(trace, earlier_positions(takeover, trace) if earlier is None else earlier, strict=True):
         if now.time > end + AFTERMATH + 1e-6:
             break
-        entered = (np.abs(now.d - lane) < SAME_LANE) & (np.abs(_earlier_d(before, now) - lane) >= SAME_LANE)
+        entered = (np.abs(now.d - lane) < SAME_LANE) & (np.abs(d - lane) >= SAME_LANE)
         present = list(now.rows(members).values())
         if present and entered.any():
             s = now.s[present]
             entered &= (now.s >= s.min() - NEAR_GROUP) & (now.s <= s.max() + NEAR_GROUP)
             names = [now.ids[row] for row in np.flatnonzero(entered)]
             found += [LaneEntry(vehicle, now.time) for vehicle in names if vehicle not in members]
-        before = now
     return tuple(found)
+
+
+def earlier_positions(takeover: Snapshot, trace: Sequence[Snapshot]) -> list[np.ndarray]:
+    """[V] Lateral positions [m] of the vehicles of each snapshot of the trace one snapshot earlier; NaN: not seen."""
+    return [_earlier_d(before, now) for before, now in pairwise((takeover, *trace))]
 
 
 def _earlier_d(before: Snapshot, now: Snapshot) -> Float[np.ndarray, " V"]:

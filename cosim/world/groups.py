@@ -112,7 +112,8 @@ def everybody_ahead(snapshot: Snapshot) -> Int[np.ndarray, " V"]:
     keys = key[order]
     first = np.minimum(np.searchsorted(keys, key, side="right"), n - 1)
     own = order[first]
-    found = (strip[own] == strip) & (s[own] > s)
+    # Rounding can set two vehicles of one strip a whole SAME_LANE apart.
+    found = (strip[own] == strip) & (s[own] > s) & (np.abs(d[own] - d) < SAME_LANE)
     # Two vehicles at slightly different s can be at the same rounded distance.
     reach = np.where(found, s[own] + 4 * np.spacing(np.maximum(np.abs(s), np.abs(s[own]))), np.inf)
     until = np.searchsorted(values, reach, side="right")

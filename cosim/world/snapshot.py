@@ -39,13 +39,16 @@ class Snapshot:
     @cached_property
     def row_of(self) -> Mapping[str, int]:
         """Row of every vehicle."""
-        return _row_of(self.ids)
+        return row_of_ids(self.ids)
+
+    @cached_property
+    def state(self) -> Float[np.ndarray, "V C"]:
+        """The features of COLUMNS of all vehicles."""
+        return np.column_stack([self.s, self.d, self.xy, self.heading, self.v, self.a])
 
     def features(self, rows: Int[np.ndarray, "G N"]) -> Float[np.ndarray, "G N C"]:
         """The features of COLUMNS of the vehicles in these rows."""
-        position = {"x": self.xy[:, 0], "y": self.xy[:, 1]}
-        table = np.array([position[name] if name in position else getattr(self, name) for name in COLUMNS])
-        return table[:, rows].transpose(1, 2, 0)
+        return self.state[rows]
 
     def only(self, wanted: Bool[np.ndarray, " V"]) -> "Snapshot":
         """The snapshot of the wanted vehicles."""
@@ -59,7 +62,7 @@ class Snapshot:
 
 
 @lru_cache(maxsize=2)
-def _row_of(ids: tuple[str, ...]) -> Mapping[str, int]:
+def row_of_ids(ids: tuple[str, ...]) -> Mapping[str, int]:
     """Row of every id; cached, as most steps have the same ids as the one before."""
     return dict(zip(ids, range(len(ids)), strict=True))
 

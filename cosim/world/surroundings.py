@@ -13,6 +13,17 @@ _S = COLUMNS.index("s")
 
 
 @dataclass(frozen=True)
+class Instant:
+    """All V vehicles at one instant as they are recorded: `state` has the features of COLUMNS, sizes are in m."""
+
+    time: float
+    ids: tuple[str, ...]
+    state: Float[np.ndarray, "V C"]
+    length: Float[np.ndarray, " V"]
+    width: Float[np.ndarray, " V"]
+
+
+@dataclass(frozen=True)
 class Surroundings:
     """R observations of vehicles: one per instant and vehicle, in the order of time; the group's own are among them.
 
@@ -28,22 +39,24 @@ class Surroundings:
     width: Float[np.ndarray, " R"]
 
     @classmethod
-    def of(cls, snapshots: Sequence[Snapshot]) -> "Surroundings":
+    def of(cls, snapshots: Sequence[Snapshot | Instant]) -> "Surroundings":
         """All vehicles of the snapshots."""
         number: dict[str, int] = {}
         vehicle, ids, codes = [], None, np.empty(0, dtype=np.int32)
         for now in snapshots:
-            if now.ids != ids:  # in most steps no vehicle enters or leaves
+            if now.ids is not ids and now.ids != ids:  # in most steps no vehicle enters or leaves
                 ids = now.ids
-                codes = np.array([number.setdefault(name, len(number)) for name in ids], dtype=np.int32)
+                for name in ids:
+                    if name not in number:
+                        number[name] = len(number)
+                codes = np.fromiter(map(number.__getitem__, ids), np.int32, len(ids))
             vehicle.append(codes)
         count = [len(codes) for codes in vehicle]
-        states = [now.features(np.arange(n)[None])[0] for now, n in zip(snapshots, count, strict=True)]
         return cls(
             ids=tuple(number),
             vehicle=np.concatenate(vehicle),
             time=np.repeat([now.time for now in snapshots], count),
-            state=np.concatenate(states),
+            state=np.concatenate([now.state for now in snapshots]),
             length=np.concatenate([now.length for now in snapshots]),
             width=np.concatenate([now.width for now in snapshots]),
         )

@@ -9,10 +9,20 @@ from cosim.process.task import Task
 
 FAULTS = '''
 import os, signal, time
+from contextlib import contextmanager
 from gri.errors import InputError
 
-def act(folder, kind, number):
-    """Do what `kind` says."""
+@contextmanager
+def prepare(what):
+    """The process in which this was entered, unless it fails."""
+    if what == "fails":
+        raise InputError("cannot be prepared")
+    if what == "crashes":
+        os.kill(os.getpid(), signal.SIGSEGV)
+    yield os.getpid()
+
+def act(folder, kind, number, prepared=None):
+    """Do what `kind` says; `prepared` is the value of the preparation."""
     print("Error: the last straw", flush=True)
     (folder / "pid").write_text(f"{os.getpid()} {os.getppid()}")
     if kind == "crash":
@@ -33,7 +43,7 @@ def act(folder, kind, number):
     began = time.process_time()
     while time.process_time() - began < 0.05:
         pass
-    return 10 * number
+    return 10 * number if prepared is None else (prepared, os.getppid())
 '''
 
 

@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from cosim.world.groups import SAME_LANE, Group, everybody_ahead, isolated, next_ahead
@@ -50,12 +50,13 @@ def nearest_of_all_pairs(s: np.ndarray, d: np.ndarray) -> list[int]:
 
 
 rounded = st.integers(-40, 40).map(lambda k: k / 4)
-near_lines = st.builds(lambda k, off: k + off * 2.0**-52, st.integers(-3, 3), st.integers(-3, 3))
+near_lines = st.builds(lambda k, off: k + off * 2.0**-60, st.integers(-3, 3), st.integers(-300, 300))
 places = st.floats(-200, 200) | rounded | near_lines
 offsets = st.floats(-6, 6) | rounded | near_lines
 
 
 @given(st.lists(st.tuples(places, offsets), max_size=40))
+@example([(0.0, -2e-247), (1.0, -1.0), (-1.0, -1.0)])
 def test_everybody_ahead_is_the_definition(vehicles):
     now = traffic(*((str(k), s, d) for k, (s, d) in enumerate(vehicles)))
     expected = nearest_of_all_pairs(now.s, now.d)
