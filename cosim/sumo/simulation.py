@@ -22,6 +22,7 @@ from cosim.sumo.bends import slow_before_bends
 from cosim.sumo.cache import CachedVehicleValues
 from cosim.sumo.drivers import Drivers
 from cosim.sumo.net import Net
+from cosim.sumo.path_encoding import use_utf8_paths
 from cosim.sumo.positions import SHADOW, PositionReader, without_shadows
 from cosim.world.road_frame import RoadFrame, heading_of, sumo_angle_of
 from cosim.world.snapshot import LANE_AHEAD, Snapshot, StepReport
@@ -272,7 +273,8 @@ def sumo(arguments: Sequence[str], log: Path) -> Iterator[Sumo]:
         raise SumoError("a simulation is already running in this process; run the second one in a process of its own")
     _running = True
     try:
-        _start(arguments)
+        use_utf8_paths()
+        _start(arguments, log)
         world = Sumo()
         try:
             yield world
@@ -284,10 +286,10 @@ def sumo(arguments: Sequence[str], log: Path) -> Iterator[Sumo]:
         _running = False
 
 
-def _start(arguments: Sequence[str]) -> None:
+def _start(arguments: Sequence[str], log: Path) -> None:
     """Start SUMO. What it prints while it fails to start is in the SumoError: its error log is still empty then."""
     sys.stderr.flush()
-    with TemporaryFile() as printed:
+    with TemporaryFile(dir=log.parent) as printed:
         kept = os.dup(2)
         os.dup2(printed.fileno(), 2)
         try:
