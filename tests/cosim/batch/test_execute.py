@@ -25,6 +25,7 @@ class Batch:
         self.store = BatchStore(folder / "out")
         self.attempts: Counter[str] = Counter()
         self.said: list[str] = []
+        self.folders: list[Path] = []
 
     def go(self, ends: dict[str, list[str]], *, retry: bool = False) -> Tally:
         self.attempts.clear()
@@ -32,10 +33,16 @@ class Batch:
         def executor(queue: deque[Task], limit: float):
             while queue:
                 task = queue.popleft()
+                assert not any(folder.exists() for folder in self.folders), "of an attempt that has ended"
+                self.folders.append(task.folder)
                 kind = ends[task.name][self.attempts[task.name]]
                 self.attempts[task.name] += 1
                 if kind == "done":
                     finished_run(task.folder)
+                else:
+                    task.folder.mkdir()
+                if kind == "stopped":
+                    raise KeyboardInterrupt
                 yield TaskResult(task.name, task.folder, kind, "" if kind == "done" else f"it {kind}")  # type: ignore[arg-type]
 
         def ignore(tally: Tally) -> None:
@@ -89,3 +96,12 @@ def test_a_damaged_run_is_done_again_and_said(two):
     assert len(two.said) == 1
     assert "is done again" in two.said[0]
     assert (two.store.run_folder(a) / "groups.parquet").read_bytes() == before
+
+
+def test_every_attempt_has_a_folder_of_its_own_and_none_is_left(two):
+    a, b = (run.id for run in two.runs)
+    two.go({a: ["died", "died", "done"], b: ["input"]})
+    assert len(set(two.folders)) == 4
+    with pytest.raises(KeyboardInterrupt):
+        two.go({b: ["stopped"]}, retry=True)
+    assert [path.name for path in (two.store.folder / "runs").iterdir()] == [a]
