@@ -6,8 +6,6 @@ Functions that read take the path of a file or the name of a released checkpoint
 """
 
 import hashlib
-import os
-import tempfile
 import warnings
 import zipfile
 from collections.abc import Callable, Mapping
@@ -25,6 +23,7 @@ from gri.errors import InputError, guarded_reading
 from gri.networks.model import ModelConfig, RelationalModel
 from gri.resources import find_checkpoint
 from gri.rewards.structured import AssumedReward, LaneRewardConfig, NaturalisticConfig, RewardConfig, StructuredReward
+from gri.storage.whole_files import write_whole
 
 FORMAT = "gri-checkpoint"  # the one key of the file's metadata; with several keys its bytes would not repeat
 VERSION = 2
@@ -73,7 +72,7 @@ def save(
         reward_config=msgspec.to_builtins(reward.config) if reward else None,
         provenance=msgspec.to_builtins(dict(provenance or {})),
     )
-    _write(Path(path), packed(tensors, {FORMAT: msgspec.json.encode(header).decode()}))
+    write_whole(Path(path), packed(tensors, {FORMAT: msgspec.json.encode(header).decode()}))
 
 
 def _tensors(module: torch.nn.Module, prefix: str) -> dict[str, Tensor]:
@@ -86,21 +85,6 @@ def _digest(tensors: Mapping[str, Tensor]) -> str:
         total.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}\n".encode())
         total.update(tensor.numpy().tobytes())
     return total.hexdigest()
-
-
-def _write(path: Path, content: bytes) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=path.name, suffix=".part")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
 
 
 def load(path: Path | str) -> RelationalModel:

@@ -3,11 +3,11 @@
 import os
 import platform
 import shutil
-import sys
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from cosim.batch.run_matrix import PACKAGES, Run
 from cosim.batch.spec import Batch
 from cosim.batch.store import BatchStore
 from cosim.process.task import Preparation, Task, TaskResult, TaskResults
-from cosim.runs.run_reading import read_json
+from cosim.runs.finished_run import read_manifest
 from cosim.spec.warm_up import warm_up_key
 
 Executor = Callable[[deque[Task], float], TaskResults]  # (queue, time limit [s])
@@ -43,18 +43,28 @@ class Tally:
 
 
 Tell = Callable[[Tally], None]
+Warn = Callable[[str], None]
 
 
 def execute(
-    batch: Batch, runs: Sequence[Run], store: BatchStore, executor: Executor, tell: Tell, *, file: Path, retry: bool
+    batch: Batch,
+    runs: Sequence[Run],
+    store: BatchStore,
+    executor: Executor,
+    tell: Tell,
+    *,
+    file: Path,
+    retry: bool,
+    warn: Warn,
 ) -> Tally:
     """Do every run that has neither finished nor failed yet; with `retry`, also those that failed.
 
-    `tell` is called with the tally after every attempt. However this ends, the manifest has the state of every run, and
-    every finished run is complete.
+    `tell` is called with the tally after every attempt. `warn` is called with a sentence about each finished run that
+    is damaged and done again, and each record that cannot be written. However this ends, the manifest has the state of
+    every run, and every finished run is complete.
     """
     by_id = {run.id: run for run in runs}
-    with store.opened(by_id):
+    with store.opened(by_id, warn):
         if retry:
             store.forget_failures()
         done, failed = store.finished() & set(by_id), set(store.failures()) & set(by_id)
@@ -65,9 +75,8 @@ def execute(
         warm_ups = _shared_warm_ups(left)
         queue = deque(_task(run, store, 0, warm_ups) for run in sorted(left, key=lambda run: warm_ups[run.id][0]))
         tell(tally)
-        _write_record(
-            lambda: store.write_manifest(manifest(batch, runs, store, file))
-        )  # so that results can be read from now on
+        record = partial(_write_record, lambda: store.write_manifest(manifest(batch, runs, store, file)), warn)
+        record()  # so that results can be read from now on
         try:
             with closing(executor(queue, batch.time_limit)) as answers:  # leaving it ends all running tasks
                 for answer in answers:
@@ -81,13 +90,13 @@ def execute(
                         if answer.kind not in NOT_RETRIED and attempts[run.id] <= batch.retries:
                             queue.append(_task(run, store, attempts[run.id], warm_ups))
                         else:
-                            _write_record(lambda: store.fail(run.id, _failure(run, reasons[run.id])))  # noqa: B023
+                            _write_record(partial(store.fail, run.id, _failure(run, reasons[run.id])), warn)
                             tally = replace(tally, failed=tally.failed + 1)
-                    _write_record(lambda: store.log(_log_entry(answer, attempts[run.id])))  # noqa: B023
+                    _write_record(partial(store.log, _log_entry(answer, attempts[run.id])), warn)
                     tell(tally)
         finally:
             store.sweep()
-            _write_record(lambda: store.write_manifest(manifest(batch, runs, store, file)))
+            record()
         return tally
 
 
@@ -131,12 +140,12 @@ def _published(answer: TaskResult, store: BatchStore) -> TaskResult:
     return answer
 
 
-def _write_record(write: Callable[[], None]) -> None:
+def _write_record(write: Callable[[], None], warn: Warn) -> None:
     """Write a record. On a full disk the batch goes on; the run stays open, and the next command repeats it."""
     try:
         write()
     except OSError as error:
-        print(f"a record could not be written: {error}", file=sys.stderr)
+        warn(f"a record could not be written: {error}")
 
 
 def _failure(run: Run, reasons: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
@@ -156,7 +165,7 @@ def manifest(batch: Batch, runs: Sequence[Run], store: BatchStore, file: Path) -
         state = "done" if run.id in finished else "failed" if run.id in failures else "open"
         entry: dict[str, Any] = {"run": run.id, "key": run.key, **msgspec.to_builtins(run.cell), "state": state}
         if state == "done":
-            own = read_json(store.run_folder(run.id) / "manifest.json", dict[str, Any])
+            own = read_manifest(store.run_folder(run.id))
             starts = own.get("arguments", {}).get("starts", run.scenario.episodes)
             entry |= {"results": own.get("results", {}), "starts": starts, "asked": run.scenario.episodes}
         listed.append(entry)

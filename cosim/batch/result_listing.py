@@ -2,7 +2,6 @@
 
 import difflib
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,7 +11,8 @@ from cosim.batch import group_statistics
 from cosim.batch.group_statistics import BY_NAME, CELL, MEASURES, Measure
 from cosim.batch.store import BatchStore
 from cosim.measures.statistics import Estimate, PairedTest
-from gri.errors import InputError, guarded_reading
+from cosim.runs.run_reading import NEEDED, check_columns
+from gri.errors import InputError
 from gri.table import NBSP, Table
 
 
@@ -34,7 +34,7 @@ def select_groups(store: BatchStore, where: Sequence[str]) -> pd.DataFrame:
 def groups_of(store: BatchStore) -> pd.DataFrame:
     """The groups of a batch in the order of its file, with one counterpart left to SUMO per start.
 
-    Raises `InputError` if no run has finished, or if an older version wrote the batch.
+    Raises `InputError` if no run has finished, if a table is damaged, or if an older version wrote the batch.
     """
     order = [run["run"] for run in store.manifest()["runs"]]
     if not any((store.folder / "groups").glob("run=*")):
@@ -46,12 +46,20 @@ def groups_of(store: BatchStore) -> pd.DataFrame:
             f"{store.folder}: no table of counterparts; got a batch that an older version wrote, which mixed them into"
             " the groups; run `cosim batch` again"
         )
-    return group_statistics.with_counterparts(*(_ordered(store.folder / t, order) for t in ("groups", "counterparts")))
+    tables = (_ordered(_checked(store, name, order), order) for name in ("groups", "counterparts"))
+    return group_statistics.with_counterparts(*tables)
 
 
-def _ordered(table: Path, runs: list[str]) -> pd.DataFrame:
-    with guarded_reading(table, "table of a batch", "run `cosim batch` again with a new --out"):
-        rows = pd.read_parquet(table)
+def _checked(store: BatchStore, name: str, runs: list[str]) -> pd.DataFrame:
+    """The rows of a table, which has the labels of its runs."""
+    rows = store.table(name, runs)
+    check_columns(store.folder / name, rows, NEEDED[name])
+    if missing := [label for label in CELL if label not in rows]:
+        raise InputError(f"{store.folder / name}: column {missing[0]} is missing; run `cosim batch` again")
+    return rows
+
+
+def _ordered(rows: pd.DataFrame, runs: list[str]) -> pd.DataFrame:
     rows["run"] = pd.Categorical(rows["run"].astype(str), runs, ordered=True)
     return rows.sort_values(["run", "episode"], ignore_index=True).astype({"run": str})
 

@@ -14,16 +14,47 @@ back. The tables hold only the runs of the current file.
 import json
 import os
 import shutil
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from cosim.runs.run_reading import TABLES, read_json
+import msgspec
+import pandas as pd
+
+from cosim.runs.finished_run import read_manifest, verify_run
+from cosim.runs.run_reading import TABLES
 from cosim.runs.share_tables import SHARE_TABLES
-from gri.errors import InputError
+from gri.errors import InputError, guarded_reading
+from gri.storage.claims import claimed_folder
+from gri.storage.verification import DamagedError, check_digest, digest, read_sealed, set_aside, write_sealed
+from gri.storage.whole_files import publish, whole_file
 
 PARTIAL = ".partial"
+FIX = "run `cosim batch` again, which repairs it"
+
+
+class _Listed(msgspec.Struct):
+    run: str
+
+
+class _Manifest(msgspec.Struct):
+    """The fields of a manifest that no reader can do without."""
+
+    runs: list[_Listed]
+
+
+class _Attempt(msgspec.Struct):
+    kind: str
+    message: str
+
+
+class _Failure(msgspec.Struct):
+    """The record of a run that failed finally."""
+
+    run: str
+    labels: dict[str, Any]
+    attempts: list[_Attempt]
 
 
 class BatchStore:
@@ -33,20 +64,34 @@ class BatchStore:
         self.folder = folder
 
     @contextmanager
-    def opened(self, runs: Iterable[str]) -> Iterator[None]:
-        """Lock the folder for this process, remove unfinished attempts, and link the tables of these runs.
+    def opened(self, runs: Iterable[str], warn: Callable[[str], None]) -> Iterator[None]:
+        """Claim the folder, remove unfinished attempts, set damaged runs aside, and link the tables of these runs.
 
-        Raises `InputError` if the folder cannot be written or another `cosim batch` uses it.
+        `warn` is called with a sentence about each of these runs that is damaged. Raises `InputError` if the folder
+        cannot be written or another command uses it.
         """
-        try:
-            (self.folder / "runs").mkdir(parents=True, exist_ok=True)
-            (self.folder / "failures").mkdir(exist_ok=True)
-        except OSError as error:
-            raise InputError(f"cannot write to {self.folder}: {error.strerror}; give another --out") from None
-        with _locked(self.folder / ".lock"):
+        with claimed_folder(self.folder):
+            try:
+                (self.folder / "runs").mkdir(exist_ok=True)
+                (self.folder / "failures").mkdir(exist_ok=True)
+            except OSError as error:
+                raise InputError(f"cannot write to {self.folder}: {error.strerror}; give another --out") from None
             self.sweep()
+            self._set_damaged_aside(set(runs), warn)
             self._link_tables(set(runs))
             yield
+
+    def _set_damaged_aside(self, runs: set[str], warn: Callable[[str], None]) -> None:
+        for run in sorted(runs & self.finished()):
+            try:
+                verify_run(self.run_folder(run))
+            except InputError as error:
+                (self.folder / "damaged").mkdir(exist_ok=True)
+                target = self.folder / "damaged" / run
+                if target.exists():
+                    set_aside(target)
+                self.run_folder(run).rename(target)
+                warn(f"{str(error).partition(';')[0]}; this run is done again, its files are in {target}")
 
     def sweep(self) -> None:
         """Remove the folders of unfinished attempts."""
@@ -64,41 +109,64 @@ class BatchStore:
         return {path.name for path in (self.folder / "runs").glob("*") if not path.name.endswith(PARTIAL)}
 
     def failures(self) -> dict[str, dict[str, Any]]:
-        """The record of each run that failed finally, by run id."""
-        records = sorted((self.folder / "failures").glob("*.json"))
-        return {path.stem: read_json(path, dict[str, Any]) for path in records}
+        """The record of each run that failed finally, by run id; a damaged record counts as none."""
+        found = {}
+        for path in sorted((self.folder / "failures").glob("*.json")):
+            try:
+                found[path.stem] = read_sealed(path, FIX)
+                msgspec.convert(found[path.stem], _Failure)
+            except (InputError, msgspec.ValidationError):
+                found.pop(path.stem, None)
+        return found
 
     def finish(self, run: str, partial: Path) -> None:
         """Publish the results of an attempt. The last step marks the run as finished; an OSError leaves it open."""
         try:
             self._link(run, partial)
             (self.folder / "failures" / f"{run}.json").unlink(missing_ok=True)
-            os.replace(partial, self.run_folder(run))
+            publish(partial, self.run_folder(run))
         except OSError:
             for table in (*TABLES, *SHARE_TABLES):
                 shutil.rmtree(self._part(table, run).parent, ignore_errors=True)
             raise
 
     def fail(self, run: str, record: Mapping[str, Any]) -> None:
-        write_whole(self.folder / "failures" / f"{run}.json", json.dumps(record, indent=2) + "\n")
+        write_sealed(self.folder / "failures" / f"{run}.json", record)
 
     def forget_failures(self) -> None:
         for path in (self.folder / "failures").glob("*.json"):
             path.unlink()
 
     def log(self, entry: Mapping[str, Any]) -> None:
-        with (self.folder / "log.jsonl").open("a") as file:
+        with (self.folder / "log.jsonl").open("a", encoding="utf-8") as file:
             file.write(json.dumps(entry) + "\n")
 
     def write_manifest(self, content: Mapping[str, Any]) -> None:
-        write_whole(self.folder / "manifest.json", json.dumps(content, indent=2) + "\n")
+        write_sealed(self.folder / "manifest.json", content)
 
     def manifest(self) -> dict[str, Any]:
         """The manifest. Raises `InputError` if the folder is not that of a batch."""
         path = self.folder / "manifest.json"
         if not path.is_file() or not (self.folder / "runs").is_dir():
             raise InputError(f"{self.folder}: not the folder of a batch; `cosim batch FILE` writes one")
-        return read_json(path, dict[str, Any])
+        content = read_sealed(path, FIX)
+        try:
+            msgspec.convert(content, _Manifest)
+        except msgspec.ValidationError as error:
+            raise DamagedError(f"{path}: {error}; {FIX}") from None
+        return content
+
+    def table(self, name: str, runs: Sequence[str]) -> pd.DataFrame:
+        """The rows of a table, of those of these runs that have finished, as the runs wrote them.
+
+        Raises `DamagedError` where they have been changed.
+        """
+        finished, file = self.finished(), f"{name}.parquet"
+        hashes = {run: read_manifest(self.run_folder(run))["results"] for run in runs if run in finished}
+        wrote = {run: results[file] for run, results in hashes.items() if file in results}
+        parts = [check_digest(self._part(name, run), wanted, FIX) for run, wanted in wrote.items()]
+        with guarded_reading(self.folder / name, "table of a batch", FIX):
+            return pd.read_parquet(parts)  # pyright: ignore[reportArgumentType]  # it reads lists as well
 
     def _link_tables(self, runs: set[str]) -> None:
         """Let the tables hold those of these runs that have finished, and no others."""
@@ -119,7 +187,8 @@ class BatchStore:
         written = [table for table in (*TABLES, *SHARE_TABLES) if (source / f"{table}.parquet").is_file()]
         for table in written or TABLES:
             part = self._part(table, run)
-            if not part.is_file():
+            if not part.is_file() or digest(part) != digest(source / f"{table}.parquet"):
+                part.unlink(missing_ok=True)
                 part.parent.mkdir(exist_ok=True, parents=True)
                 _link_or_copy(source / f"{table}.parquet", part)
 
@@ -128,33 +197,5 @@ def _link_or_copy(source: Path, target: Path) -> None:
     try:
         os.link(source, target)
     except OSError:  # the file system has no hard links
-        temporary = target.with_suffix(".copy")
-        shutil.copyfile(source, temporary)
-        os.replace(temporary, target)
-
-
-def write_whole(path: Path, text: str) -> None:
-    """Write a file so that it appears whole or not at all."""
-    temporary = path.with_name(path.name + ".part")
-    try:
-        temporary.write_text(text)
-        os.replace(temporary, path)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
-
-
-@contextmanager
-def _locked(path: Path) -> Iterator[None]:
-    """Hold a lock that ends with this process, however it ends."""
-    try:
-        import fcntl
-    except ImportError:  # Windows: two commands on one folder are not detected
-        yield
-        return
-    with path.open("w") as file:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            raise InputError(f"{path.parent}: another `cosim batch` is running here; wait for it or stop it") from None
-        yield
+        with whole_file(target) as part:
+            shutil.copyfile(source, part)

@@ -13,7 +13,7 @@ from cosim.batch.store import BatchStore
 from cosim.measures.statistics import Estimate, mean
 from cosim.runs.share_summary import BY_NAME, Figure
 from cosim.runs.share_tables import ALL
-from gri.errors import InputError, guarded_reading
+from gri.errors import InputError
 from gri.table import NBSP, Table
 
 DEFAULT_BY = "policy,share"
@@ -47,9 +47,7 @@ def traffic_rows(store: BatchStore, where: Sequence[str] = ()) -> pd.DataFrame:
     """The `traffic` tables of all runs, the rows that satisfy all conditions `column=value`; without a `driver=`
     condition the rows of all vehicles.
     """
-    table = store.folder / "traffic"
-    with guarded_reading(table, "table of a batch", "run `cosim batch` again with a new --out"):
-        rows = pd.read_parquet(table)
+    rows = store.table("traffic", [run["run"] for run in store.manifest()["runs"]])
     rows["policy"] = rows["policy"].astype(str).where(rows["share"].ne(0), NOBODY)
     if not any(condition.partition("=")[0] == "driver" for condition in where):
         rows = rows[rows["driver"] == ALL]

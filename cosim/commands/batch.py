@@ -78,7 +78,7 @@ def batch(
             def tell(tally: "Tally") -> None:
                 progress("runs", tally.ended, tally.total, f"{tally.failed} failed" if tally.failed else "")
 
-            tally = execute(spec, runs, BatchStore(folder), how, tell, file=path, retry=retry_failed)
+            tally = execute(spec, runs, BatchStore(folder), how, tell, file=path, retry=retry_failed, warn=notice)
     except KeyboardInterrupt:
         notice(f"stopped; finished runs are kept, `cosim batch {file}` continues")
         raise typer.Exit(130) from None

@@ -27,7 +27,7 @@ from cosim.commands.scenes import scenes
 from cosim.commands.show import explain, gui, render, report
 from cosim.commands.stress import stress
 from cosim.commands.traffic import calibrate, traffic
-from gri.errors import InputError
+from gri.errors import SYSTEM_ERRORS, InputError, refused_by_system
 from gri.table import Table
 from gri.terminal import (
     FormatOption,
@@ -233,3 +233,5 @@ def main() -> None:
         fail("stopped; nothing was left half-written", 130)
     except RuntimeError as error:
         fail(str(error), 1)
+    except SYSTEM_ERRORS as error:
+        fail(refused_by_system(error), 1)

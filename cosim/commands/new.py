@@ -40,7 +40,7 @@ def new(
         with ProgressDisplay() as progress:
             use = run_in_worker("cosim.proposals.propose:observe", sumocfg, seconds, 0.2, log=log, tell=progress)
             made = proposal(sumocfg, path.parent, use, rule)
-            path.write_text(made.text)
+            path.write_text(made.text, encoding="utf-8")
             scenario = load_scenario(str(path))
             trial = override(scenario, {"policy": {"kind": "sumo"}, "episodes": 10, "time_limit": 180.0})
             groups = run_in_worker("cosim.proposals.propose:count_groups", trial, log=log, tell=progress)

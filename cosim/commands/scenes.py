@@ -79,8 +79,9 @@ def scenes(
         per_vehicle=per_vehicle, reduction=reduction,
     )  # fmt: skip
     kinds = kinds_of(kind)
-    from cosim.scenes.dataset import DatasetSpec, make
+    from cosim.scenes.dataset import DatasetSpec, make, remove_seeds
     from cosim.scenes.dataset_report import report_of, tables
+    from gri.storage.claims import claimed_folder
 
     order = DatasetSpec(
         scenario=chosen,
@@ -92,11 +93,13 @@ def scenes(
         rules=rules,
     )
     began = time.monotonic()
-    with ProgressDisplay() as progress:
-        made = make(
-            order, out, workers or os.cpu_count() or 1, lambda done, total: progress("scenes", done, total), notice
-        )
-    report = report_of(order, made, time.monotonic() - began, out)
+    with claimed_folder(out):
+        with ProgressDisplay() as progress:
+            made = make(
+                order, out, workers or os.cpu_count() or 1, lambda done, total: progress("scenes", done, total), notice
+            )
+        report = report_of(order, made, time.monotonic() - began, out)
+        remove_seeds(out)
     if order.kinds == ("triple",):
         following = f"gri bench relations --sumo {made.path}"
     else:

@@ -61,9 +61,10 @@ def report(
 
 
 def _batch_report(folder: Path, out: Path | None) -> None:
-    from cosim.batch.store import BatchStore, write_whole
+    from cosim.batch.store import BatchStore
     from cosim.batch.traffic_results import has_traffic, traffic_rows
     from cosim.show.batch_report import batch_report
+    from gri.storage.whole_files import write_whole
 
     if has_traffic(store := BatchStore(folder)):
         from cosim.show.penetration_curves import penetration_picture
@@ -114,9 +115,9 @@ def render(
 
         picture(tables, path, episode, run)
     elif kind == "html":
-        from cosim.batch.store import write_whole
         from cosim.runs.summary import driver_name
         from cosim.show.animation import html
+        from gri.storage.whole_files import write_whole
 
         names = " beside ".join(driver_name(drive.driver) for drive, _ in drives)
         title = f"Episode {episode}: {names}" + " drives" * (len(drives) == 1)

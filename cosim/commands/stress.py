@@ -86,6 +86,7 @@ def stress(
     from cosim.show.stress_page import write_stress_page
     from cosim.stress.stress_test import publish, run_stress
     from cosim.stress.until_decided import STARTS_PER_SEED, contest_of, run_until_decided, sentence
+    from gri.storage.claims import claimed_folder
 
     contest = contest_of(until_decided, list(policies), sweeps, error) if until_decided else None
     per_seed = {"starts_per_seed": STARTS_PER_SEED} if contest else {}
@@ -94,12 +95,14 @@ def stress(
     folder = out or Path("runs", "stress", Path(scenario).stem)
     began = time.monotonic()
     try:
-        with ProgressDisplay() as progress:
+        with claimed_folder(folder), ProgressDisplay() as progress:
             if contest:
-                parts, rows, computation, decision = run_until_decided(parts, contest, folder, workers, progress)
+                parts, rows, computation, decision = run_until_decided(
+                    parts, contest, folder, workers, progress, notice
+                )
                 decided = sentence(contest, decision)
             else:
-                rows, computation = run_stress(parts, folder, workers, progress)
+                rows, computation = run_stress(parts, folder, workers, progress, notice)
             command = shlex.join(["cosim", *sys.argv[1:]])
             facts = {
                 "command": command,

@@ -94,12 +94,13 @@ def calibrate(
     )
     from cosim.studies.calibration import Calibration, calibrate, parameters
     from cosim.studies.traffic_targets import statistics_frame, statistics_table
+    from gri.storage.claims import claimed_folder
 
     folder = out or Path("runs", "calibrate", Path(scenario).stem)
     numbers = tuple(chosen.seed + k for k in range(seeds))
     calibration = Calibration(chosen, parameters(free.split(","), chosen.traffic), numbers, duration, folder)
     began = time.monotonic()
-    with ProgressDisplay() as progress:
+    with claimed_folder(folder), ProgressDisplay() as progress:
         best = calibrate(calibration, evaluations, workers or os.cpu_count() or 1, progress)
     statistics_frame(best.runs).to_csv(folder / "seeds.csv", index=False)
     values = ", ".join(f"{p.name} = {value:g}" for p, value in zip(calibration.free, best.values, strict=True))

@@ -6,11 +6,15 @@ simulate the past again from t = 0 instead (see `cosim.loop.closed_loop`); both 
 
 import os
 import pickle
+import signal
+import time
 import traceback
 import warnings
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from io import FileIO
+from select import select
 from typing import Generic, TypeVar
 
 from cosim.process.failures import exit_cause
@@ -18,6 +22,8 @@ from cosim.process.failures import exit_cause
 M = TypeVar("M")
 T = TypeVar("T")
 
+LIMIT = 24 * 3600.0  # [s] that a copy may take; a whole run of a large scenario takes a few hours
+PARENT_CHECKED_EVERY = 5.0  # [s]
 CAN_FORK = hasattr(os, "fork")
 
 
@@ -32,10 +38,13 @@ class Branch(Generic[T]):
     pid: int
     pipe: int
 
-    def result(self) -> T:
-        """What the function returned in the copy. Errors: `BranchError` if it raised or the process died."""
-        with os.fdopen(self.pipe, "rb") as stream:
-            answer = stream.read()
+    def result(self, limit: float = LIMIT) -> T:
+        """What the function returned in the copy.
+
+        Errors: `BranchError` if it raised, the process died, or has not answered after `limit` [s].
+        """
+        with os.fdopen(self.pipe, "rb", buffering=0) as stream:
+            answer = self._answer(stream, time.monotonic() + limit, limit)
         _, status = os.waitpid(self.pid, 0)
         if not answer:
             cause = exit_cause(os.waitstatus_to_exitcode(status))
@@ -45,17 +54,33 @@ class Branch(Generic[T]):
             raise BranchError(f"the branched simulation failed:\n{value}")
         return value
 
+    def _answer(self, stream: FileIO, deadline: float, limit: float) -> bytes:
+        """All that comes until the copy closes its end of the pipe."""
+        answer = bytearray()
+        while select([stream], [], [], max(deadline - time.monotonic(), 0))[0]:
+            part = stream.read(2**20)
+            if not part:
+                return bytes(answer)
+            answer += part
+        os.kill(self.pid, signal.SIGKILL)
+        os.waitpid(self.pid, 0)
+        raise BranchError(f"waited {limit:g} s for the branched simulation (process {self.pid}), then ended it")
+
 
 def fork_and_send(function: Callable[[M], T]) -> tuple[Branch[T], Callable[[M], None]]:
     """Fork now, and run the function in the copy once its argument is known: the second value sends it, once.
 
     The copy ends without an answer if this process ends before.
     """
+    original = os.getpid()
     read, write = os.pipe()
 
     def wait_and_run() -> T:
         os.close(write)  # else the copy would never notice that the original is gone
         with os.fdopen(read, "rb") as stream:  # other copies may keep the pipe open, so its end is not waited for
+            while not select([stream], [], [], PARENT_CHECKED_EVERY)[0]:
+                if os.getppid() != original:
+                    os._exit(1)
             message = pickle.load(stream)
         return function(message)
 

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeVar
 
 from cosim.process.failures import exit_cause
-from cosim.process.fork import Branch, fork
+from cosim.process.fork import LIMIT, Branch, fork
 
 T = TypeVar("T")
 _LAYOUT = "<qd"  # number of calls so far, and since when [s] the last one is under way; 0 where it is over
@@ -75,7 +75,10 @@ def survive(function: Callable[[CallGuard], T], limit: float) -> T:
 
 def _fatal_end(branch: Branch[Any], guard: CallGuard, limit: float) -> str:
     """Wait until a branch begins to answer; how it ended if a guarded call ended it or was ended after the limit."""
+    began = time.monotonic()
     while not select.select([branch.pipe], [], [], CHECKED_EVERY)[0]:
+        if time.monotonic() - began > LIMIT:
+            branch.result(0.0)  # raises
         if guard.under_way > limit:
             os.kill(branch.pid, signal.SIGKILL)
             os.waitpid(branch.pid, 0)

@@ -15,9 +15,10 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from cosim.process.task import Task, TaskResult, TaskResults
-from cosim.process.task_pool import Worker, alive_or_new
+from cosim.process.task_pool import START_UP, Worker, alive_or_new
 from gri.errors import InputError
 
+QUEUED = 24 * 3600.0  # [s] that a task may wait for a core of the cluster
 Parcel = tuple[TaskResult, dict[str, bytes]]  # an answer and the files of the folder of its task
 
 
@@ -39,7 +40,13 @@ def run_ray(
             while queue and len(waiting) < most:
                 task = queue.popleft()
                 waiting[remote.remote(task, time_limit, os.getcwd())] = task
-            ready, _ = ray.wait(list(waiting), num_returns=1)
+            limit = time_limit + START_UP + QUEUED
+            ready, _ = ray.wait(list(waiting), num_returns=1, timeout=limit)
+            if not ready:
+                names = ", ".join(task.name for task in waiting.values())
+                raise RuntimeError(
+                    f"waited {limit:g} s for Ray to end one of {len(waiting)} tasks ({names[:200]}); see `ray status`"
+                )
             for reference in ready:
                 yield _unpacked(ray, reference, waiting.pop(reference))
     finally:

@@ -21,6 +21,7 @@ from cosim.process.fork import CAN_FORK, Branch, BranchError, fork
 from cosim.process.prepared_process import PreparedProcess
 from cosim.process.task import LOG, Task, TaskResult, TaskResults, function_named, perform
 
+GRACE = 30.0  # [s] that a killed process may take to end
 START_UP = 120.0  # [s] that a worker may take to import everything
 
 
@@ -144,7 +145,7 @@ class Worker:
         for kill in (lambda: os.killpg(self._process.pid or 0, signal.SIGKILL), self._process.kill):
             with suppress(OSError, AttributeError):  # ended already, no group yet, or a system without groups
                 kill()
-        self._process.join()
+        self._process.join(GRACE)  # killed: only a process that waits for a disk takes longer
         self.pipe.close()
 
 

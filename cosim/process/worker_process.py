@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from multiprocessing import get_all_start_methods, get_context
 from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -14,7 +15,12 @@ from typing import Any
 from cosim.process.failures import exit_cause, last_lines
 from cosim.process.own_process import print_to
 from cosim.process.task import function_named
-from gri.errors import InputError
+from gri.errors import SYSTEM_ERRORS, InputError, refused_by_system
+
+SILENCE = 2 * 3600.0
+"""[s] Between two reports of progress: a round of a large stress test takes minutes, on a busy machine an hour."""
+GRACE = 30.0
+"""[s] That a process may take to end."""
 
 
 class WorkerError(RuntimeError):
@@ -26,7 +32,12 @@ class WorkerDeath(InputError):
 
 
 def run_in_worker(
-    target: str, *arguments: Any, log: Path, tell: Callable[..., None], options: Mapping[str, Any] | None = None
+    target: str,
+    *arguments: Any,
+    log: Path,
+    tell: Callable[..., None],
+    options: Mapping[str, Any] | None = None,
+    silence: float = SILENCE,
 ) -> Any:
     """Call `target(*arguments, tell, **options)` in a spawned process and return its result.
 
@@ -39,11 +50,12 @@ def run_in_worker(
         tell: called here with what the target reports as its progress.
         options: keyword arguments of the target. With them the process is forked where the system can fork, so they
             may hold objects that cannot be pickled, such as a policy defined in a notebook.
+        silence: time [s] without any progress after which the worker is ended.
 
     Raises:
         InputError: as the target raised it.
         WorkerDeath: the worker died before it reported any progress.
-        WorkerError: the worker failed in any other way.
+        WorkerError: the worker failed in any other way, or reported nothing for too long.
     """
     context = get_context("fork") if options and "fork" in get_all_start_methods() else get_context("spawn")
     receiver, sender = context.Pipe(duplex=False)
@@ -51,12 +63,17 @@ def run_in_worker(
     with nullcontext() if options else _main_module_hidden():
         process.start()
     sender.close()
-    begun = False
+    begun, last = False, "its start"
     try:
         while True:
+            if not receiver.poll(silence):
+                raise WorkerError(
+                    f"waited {silence:g} s for progress of {target.rpartition(':')[2]} after {last}, then ended it;"
+                    f" last lines of its log: {last_lines(log) or '(empty)'}"
+                )
             kind, value = receiver.recv()
             if kind == "progress":
-                begun = True
+                begun, last = True, " ".join(map(str, value))
                 tell(*value)
             elif kind == "done":
                 return value
@@ -65,12 +82,19 @@ def run_in_worker(
             else:
                 raise WorkerError(value)
     except EOFError:
-        process.join()
+        process.join(GRACE)
         raise _death(process.exitcode, log, begun) from None
     finally:
-        process.terminate()
-        process.join()
+        _end(process)
         receiver.close()
+
+
+def _end(process: BaseProcess) -> None:
+    """End a process: politely, then by force."""
+    process.terminate()
+    process.join(GRACE)
+    process.kill()  # does nothing to one that has ended
+    process.join(GRACE)
 
 
 @contextmanager
@@ -108,5 +132,8 @@ def _work(target: str, arguments: tuple[Any, ...], options: dict[str, Any], send
         sender.send(("done", value))
     except InputError as error:
         sender.send(("input", str(error)))
+    except SYSTEM_ERRORS as error:
+        traceback.print_exc()
+        sender.send(("failed", refused_by_system(error)))
     except Exception as error:
         sender.send(("failed", f"{type(error).__name__}: {error}\n{traceback.format_exc()}"))

@@ -1,6 +1,5 @@
 """Propose a scenario for a SUMO configuration: look at its net and its traffic, then write the file."""
 
-import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,9 +12,10 @@ from cosim.spec.demand import Traffic
 from cosim.spec.input_files import find_net
 from cosim.spec.scenario import CarFollowing, LeftToSumo, Road, Scenario
 from cosim.spec.sumo_configuration import Configuration, configuration
-from cosim.sumo import SumoError, sumo
+from cosim.sumo import sumo
 from cosim.sumo.net_use import NetUse, observe_net_use
-from cosim.traffic.simulation_input import SumoFiles, prepare_simulation
+from cosim.traffic.scratch_files import scratch_files
+from cosim.traffic.simulation_input import prepare_simulation
 from gri.errors import InputError
 
 Tell = Callable[[str, int, int], None]
@@ -48,16 +48,12 @@ def observe(path: Path, seconds: float, step: float, tell: Tell) -> NetUse:
         step=step,
     )
     steps = round(seconds / step)
-    with tempfile.TemporaryDirectory() as scratch:
-        files = SumoFiles(find_net(scenario.net), Path(scratch, "routes.rou.xml"), Path(scratch, "sumo.log"))
+    with scratch_files(find_net(scenario.net), what=f"{path}: SUMO refused it") as files:
         inputs = prepare_simulation(scenario, files, seconds)
         inputs.write()
         tell("traffic", 0, steps)
-        try:
-            with sumo(inputs.arguments, files.log) as world:
-                return observe_net_use(world, steps, step, tell)
-        except SumoError as error:
-            raise InputError(f"{path}: SUMO refused it: {error}") from error
+        with sumo(inputs.arguments, files.log) as world:
+            return observe_net_use(world, steps, step, tell)
 
 
 def proposal(path: Path, beside: Path, use: NetUse, rule: str | None) -> Proposal:
@@ -83,9 +79,5 @@ def proposal(path: Path, beside: Path, use: NetUse, rule: str | None) -> Proposa
 
 def count_groups(scenario: Scenario, tell: Tell) -> int:
     """How many groups the traffic has for a scenario, of its number of episodes. Runs in a worker process."""
-    with tempfile.TemporaryDirectory() as scratch:
-        files = SumoFiles(find_net(scenario.net), Path(scratch, "routes.rou.xml"), Path(scratch, "sumo.log"))
-        try:
-            return len(run(scenario, files, None, tell).episodes)
-        except SumoError as error:
-            raise InputError(f"SUMO refused the scenario: {error}") from error
+    with scratch_files(find_net(scenario.net)) as files:
+        return len(run(scenario, files, None, tell).episodes)

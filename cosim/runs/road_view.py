@@ -4,14 +4,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
+from cosim.runs.finished_run import SCENARIO, has_file, read_scenario
 from cosim.runs.lanes import DrawnRoad, Lane, drawn_road
 from cosim.runs.surroundings_table import read_surroundings
-from cosim.spec.scenario import Scenario
 from cosim.world.road_frame import RoadFrame
 
 Times = Float[np.ndarray, " T"]
@@ -51,8 +50,8 @@ def road_view(tables: Mapping[str, pd.DataFrame], number: int, folder: Path | No
     own, left = steps[~steps["counterpart"]], steps[steps["counterpart"]]
     time = np.unique(own["time"])
     road = DrawnRoad(None, ())
-    if folder is not None and (file := folder / "scenario.json").is_file():
-        road = drawn_road(msgspec.json.decode(file.read_bytes(), type=Scenario))
+    if folder is not None and has_file(folder, SCENARIO):
+        road = drawn_road(read_scenario(folder))
     around = None if folder is None else read_surroundings(folder, number, counterpart=False)
     return RoadView(
         time=time,

@@ -13,8 +13,9 @@ import pandas as pd
 
 from cosim.perturb.effects import COLUMNS as EFFECT_COLUMNS
 from cosim.process.worker_process import run_in_worker
+from cosim.runs.finished_run import read_group_manifest
 from cosim.runs.run_folder import next_folder, run_folder
-from cosim.runs.run_reading import TABLES, read_json, read_tables
+from cosim.runs.run_reading import TABLES, read_tables
 from cosim.runs.summary import summary
 from cosim.runs.surroundings_table import read_surroundings
 from cosim.runs.user_policy import own_name, unfit
@@ -206,14 +207,10 @@ def open_run(folder: str | Path) -> Run:
     """Read a finished run from its folder.
 
     Raises:
-        InputError: the folder is no run folder.
+        InputError: the folder is no run folder, or a file in it is not what the run wrote.
     """
     folder = Path(folder)
-    tables = read_tables(folder)
-    manifest = folder / "manifest.json"
-    if not manifest.is_file():
-        raise InputError(f"{folder}: no manifest.json in it; expected a run folder written by `cosim run`")
-    return Run(folder, **tables, manifest=read_json(manifest, dict[str, Any]))
+    return Run(folder, **read_tables(folder), manifest=read_group_manifest(folder))
 
 
 def _policy(policy: object) -> tuple[dict[str, Any] | None, object | None]:

@@ -1,7 +1,6 @@
 """One run from a scenario to a run folder. It runs in a worker process: see `cosim.runs.run`."""
 
 import json
-import tempfile
 from collections import Counter
 from collections.abc import Callable, Mapping
 from inspect import getsourcefile
@@ -14,6 +13,7 @@ import torch
 from cosim.loop.closed_loop import run
 from cosim.perturb.effects import effects_table
 from cosim.runs import run_tables
+from cosim.runs.finished_run import SCENARIO, write_manifest
 from cosim.runs.policy_loading import driver_of
 from cosim.runs.shared_warm_up import SharedWarmUp
 from cosim.runs.surroundings_table import write_surroundings
@@ -21,9 +21,8 @@ from cosim.runs.traffic_effects import traffic_effects
 from cosim.runs.traffic_survey import Survey, survey
 from cosim.spec.input_files import find_net, input_files, sha256
 from cosim.spec.scenario import LeftToSumo, Scenario, tag_of
-from cosim.sumo import SumoError
 from cosim.traffic.route_file import arguments
-from cosim.traffic.simulation_input import SumoFiles
+from cosim.traffic.scratch_files import scratch_files
 from cosim.world.group_search import why_not_more
 from cosim.world.groups import expected_graph
 from gri.core.policy import Policy
@@ -32,13 +31,8 @@ from gri.errors import InputError
 
 def survey_job(scenario: Scenario, duration: float, tell: Callable[..., None]) -> Survey:
     """Survey the undisturbed traffic of a scenario."""
-    net = find_net(scenario.net)
-    with tempfile.TemporaryDirectory() as scratch:
-        files = SumoFiles(net, Path(scratch, "routes.rou.xml"), Path(scratch, "sumo.log"))
-        try:
-            return survey(scenario, files, duration, tell)
-        except SumoError as error:
-            raise InputError(f"SUMO refused the scenario: {error}") from error
+    with scratch_files(find_net(scenario.net)) as files:
+        return survey(scenario, files, duration, tell)
 
 
 def run_job(
@@ -69,16 +63,12 @@ def run_job(
     """
     torch.set_num_threads(1)  # the models are tiny: more threads are slower
     inputs, driver = _inputs(scenario, policy), driver_of(scenario, policy)
-    with tempfile.TemporaryDirectory() as scratch:
-        files = SumoFiles(inputs["net"], Path(scratch, "routes.rou.xml"), folder / "sumo.log")
-        try:
-            if prepared is None:
-                outcome = run(scenario, files, driver, tell)
-            else:
-                outcome = prepared.run(scenario, files.log, driver, tell)
-            effects = effects_table([*outcome.effects, *traffic_effects(scenario, tell)])
-        except SumoError as error:
-            raise InputError(f"SUMO refused the scenario: {error}") from error
+    with scratch_files(inputs["net"], folder, folder / "sumo.log") as files:
+        if prepared is None:
+            outcome = run(scenario, files, driver, tell)
+        else:
+            outcome = prepared.run(scenario, files.log, driver, tell)
+        effects = effects_table([*outcome.effects, *traffic_effects(scenario, tell, scratch=folder)])
         routes = (
             None if scenario.traffic.has_own_files else prepared.routes_sha256 if prepared else sha256(files.routes)
         )
@@ -105,7 +95,7 @@ def run_job(
     run_tables.write_tables(folder, tables)
     if scenario.surroundings:
         write_surroundings(folder, outcome.episodes, [] if driver is None else outcome.left_to_sumo)
-    (folder / "scenario.json").write_bytes(msgspec.json.format(msgspec.json.encode(scenario)) + b"\n")
+    (folder / SCENARIO).write_bytes(msgspec.json.format(msgspec.json.encode(scenario)) + b"\n")
     run_facts = {
         "driver": tag_of(scenario.policy) if driver is None else driver.name,
         "seed": scenario.seed,
@@ -125,7 +115,7 @@ def run_job(
         "routes_sha256": routes,
     }
     manifest = run_tables.manifest(run_facts, inputs, folder)
-    run_tables.write_manifest(folder, manifest | {"effects": json.loads(effects.to_json(orient="records"))})
+    write_manifest(folder, manifest | {"effects": json.loads(effects.to_json(orient="records"))})
     if draw:
         from cosim.runs.episode_figure import picture  # with all of matplotlib; a batch draws nothing
 

@@ -7,7 +7,6 @@ The counterpart of a driven group is the same group left to SUMO, or as it was r
 episode. Counterparts have a table of their own; in `steps` and `events` the column `counterpart` marks their rows.
 """
 
-import json
 import os
 import platform
 from collections.abc import Iterator, Mapping, Sequence
@@ -22,6 +21,7 @@ import pyarrow.parquet as pq
 from jaxtyping import Bool
 
 from cosim.measures.surrogate_safety import BRAKING, brakings
+from cosim.runs.finished_run import SCENARIO
 from cosim.runs.run_reading import TABLES
 from cosim.spec.input_files import sha256
 from cosim.spec.scenario import AFTERMATH
@@ -195,8 +195,12 @@ def manifest(arguments: Mapping[str, Any], inputs: Mapping[str, Path], folder: P
         "versions": {"python": platform.python_version(), **{name: version(name) for name in packages}},
         "machine": {"system": platform.system(), "processor": platform.machine(), "cores": os.cpu_count()},
         "inputs": {name: {"file": path.name, "sha256": sha256(path)} for name, path in inputs.items()},
-        "results": {path.name: sha256(path) for path in sorted(folder.glob("*.parquet"))},
+        "results": {path.name: sha256(path) for path in _result_files(folder)},
     }
+
+
+def _result_files(folder: Path) -> list[Path]:
+    return sorted(path for pattern in ("*.parquet", SCENARIO) for path in folder.glob(pattern))
 
 
 def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame]) -> None:
@@ -208,7 +212,3 @@ def write_tables(folder: Path, tables: Mapping[str, pd.DataFrame]) -> None:
                 kind = pa.bool_() if field.name == "graph_as_expected" else pa.string()
                 table = table.set_column(k, field.with_type(kind), table.column(k).cast(kind))
         pq.write_table(table, folder / f"{name}.parquet")
-
-
-def write_manifest(folder: Path, content: Mapping[str, Any]) -> None:
-    (folder / "manifest.json").write_text(json.dumps(content, indent=2) + "\n")

@@ -14,6 +14,7 @@ import torch
 from cosim.loop.share_of_traffic import drive_shares
 from cosim.perturb.traffic_demand import perturbed_traffic
 from cosim.runs import run_tables
+from cosim.runs.finished_run import write_manifest
 from cosim.runs.share_policies import share_plans
 from cosim.runs.share_tables import SHARE_TABLES, share_tables
 from cosim.runs.space_time_figure import space_time_picture
@@ -78,7 +79,7 @@ def run_share_job(
         "waiting_outside_since": outcome.backlog.since,
         "policy_failures": dict(outcome.failures),
     }
-    run_tables.write_manifest(folder, run_tables.manifest(facts, inputs, folder))
+    write_manifest(folder, run_tables.manifest(facts, inputs, folder))
     if draw:
         title = ", ".join(f"{100 * share:g} % {name}" for name, (_, share) in shares.items())
         space_time_picture(tables["space_time"], folder / "space-time.png", title, tables["samples"], outcome.merge)

@@ -17,6 +17,7 @@ from cosim.measures.traffic_measures import (
     space_time,
     vehicles_table,
 )
+from cosim.runs.finished_run import verified_file
 from gri.errors import InputError, guarded_reading
 
 ALL = "all"  # the row of all vehicles
@@ -115,9 +116,9 @@ def read_share_tables(folder: Path) -> dict[str, pd.DataFrame]:
     """The tables of a run folder with shares. Raises `InputError` where one is missing or damaged."""
     tables = {}
     for name in SHARE_TABLES:
-        path = folder / f"{name}.parquet"
-        if not path.is_file():
+        if not (folder / f"{name}.parquet").is_file():
             raise InputError(f"{folder}: no {name}.parquet in it; expected a run with a share, written by `cosim run`")
+        path = verified_file(folder, f"{name}.parquet")
         with guarded_reading(path, "table of a run", "run the scenario again"):
             tables[name] = pd.read_parquet(path)
     return tables

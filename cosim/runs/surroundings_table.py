@@ -13,9 +13,11 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from cosim.runs.finished_run import has_file, verified_file
 from cosim.world.episode import Episode
 from cosim.world.snapshot import COLUMNS
 from cosim.world.surroundings import Surroundings
+from gri.errors import guarded_reading
 
 FILE = "surroundings.parquet"
 EXACT = ("x", "y", "heading")  # as float64, so that contacts can be verified; all other columns of states are float32
@@ -66,5 +68,8 @@ def read_surroundings(folder: Path, episode: int | None = None, counterpart: boo
     """The surroundings of one episode, or of all of a run; None where the run was done without them."""
     wanted = {"episode": episode, "counterpart": counterpart}
     filters = [(name, "==", value) for name, value in wanted.items() if value is not None]
-    path = folder / FILE
-    return pd.read_parquet(path, filters=filters or None) if path.is_file() else None
+    if not has_file(folder, FILE):
+        return None
+    path = verified_file(folder, FILE)
+    with guarded_reading(path, "table of a run", "run the scenario again"):
+        return pd.read_parquet(path, filters=filters or None)

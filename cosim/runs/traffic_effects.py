@@ -1,9 +1,6 @@
 """Effects of perturbations of the traffic: what the study area is like with and without them, for the same seed."""
 
 import hashlib
-import json
-import os
-import tempfile
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -26,7 +23,8 @@ from cosim.spec.perturbations import (
     Perturbation,
 )
 from cosim.spec.scenario import Replay, Scenario
-from cosim.traffic.simulation_input import SumoFiles
+from cosim.traffic.scratch_files import scratch_files
+from gri.storage.verification import is_intact, read_sealed, write_sealed
 
 ROAD_IS_FULL = 20  # more vehicles than without the perturbation that wait outside the net
 
@@ -64,10 +62,13 @@ def traffic_state(scenario: Scenario, found: Survey) -> TrafficState:
     )
 
 
-def survey_traffic(scenario: Scenario, tell: Progress, cache: Path | None = None) -> TrafficState:
+def survey_traffic(
+    scenario: Scenario, tell: Progress, cache: Path | None = None, scratch: Path | None = None
+) -> TrafficState:
     """Simulate the warm-up and one demand interval of the scenario's traffic, perturbed as the scenario says.
 
-    With the folder `cache`, the result is kept there and read again by the next call for the same traffic.
+    With the folder `cache`, the result is kept there and read again by the next call for the same traffic. SUMO's files
+    are in the folder `scratch` meanwhile.
     """
     net = find_net(scenario.net)
     duration = min(scenario.traffic.interval, scenario.time_limit)
@@ -75,28 +76,27 @@ def survey_traffic(scenario: Scenario, tell: Progress, cache: Path | None = None
     file = None
     if cache is not None:
         file = cache / f"traffic-{hashlib.sha256(msgspec.json.encode(same)).hexdigest()[:12]}.json"
-        if file.is_file():
-            return TrafficState(**json.loads(file.read_text()))
-    with tempfile.TemporaryDirectory() as scratch:
-        files = SumoFiles(net, Path(scratch, "routes.rou.xml"), Path(scratch, "sumo.log"))
+        if is_intact(file, lambda _: None):  # a damaged one is set aside and made again
+            return msgspec.convert(read_sealed(file, ""), TrafficState)
+    with scratch_files(net, scratch) as files:
         state = traffic_state(scenario, survey(scenario, files, duration, tell))
     if file is not None:
-        partial = file.with_suffix(f".{os.getpid()}")
-        partial.write_text(json.dumps(asdict(state)))
-        os.replace(partial, file)
+        write_sealed(file, asdict(state))
     return state
 
 
-def traffic_effects(scenario: Scenario, tell: Progress, cache: Path | None = None) -> list[Effect]:
+def traffic_effects(
+    scenario: Scenario, tell: Progress, cache: Path | None = None, scratch: Path | None = None
+) -> list[Effect]:
     """The effects of the scenario's perturbations of the traffic; two simulations, or none where there are no such.
 
-    Raises SumoError where SUMO refuses the traffic.
+    Raises `InputError` where SUMO refuses the traffic.
     """
     specs = [spec for spec in scenario.perturbations if isinstance(spec, CHANGES_DEMAND)]
     if not specs or isinstance(scenario.background, Replay):
         return []
-    before = survey_traffic(replace(scenario, perturbations=()), tell, cache)
-    after = survey_traffic(replace(scenario, perturbations=tuple(specs)), tell, cache)
+    before = survey_traffic(replace(scenario, perturbations=()), tell, cache, scratch)
+    after = survey_traffic(replace(scenario, perturbations=tuple(specs)), tell, cache, scratch)
     return compared_traffic(scenario, before, after)
 
 

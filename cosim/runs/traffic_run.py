@@ -10,8 +10,8 @@ import msgspec
 import pandas as pd
 
 from cosim.process.worker_process import run_in_worker
+from cosim.runs.finished_run import has_file, read_manifest, verified_file
 from cosim.runs.run_folder import next_folder, run_folder
-from cosim.runs.run_reading import read_json
 from cosim.runs.share_summary import summary_table
 from cosim.runs.share_tables import read_share_tables
 from cosim.spec.input_files import refuse_foreign_code
@@ -44,8 +44,9 @@ class TrafficRun:
     @cached_property
     def samples(self) -> pd.DataFrame | None:
         """All vehicles in the study area once a second; None where the scenario has `surroundings: false`."""
-        path = self.folder / "samples.parquet"
-        return pd.read_parquet(path) if path.is_file() else None
+        if not has_file(self.folder, "samples.parquet"):
+            return None
+        return pd.read_parquet(verified_file(self.folder, "samples.parquet"))
 
     def summary(self) -> Table:
         """The table that `cosim run` prints."""
@@ -124,7 +125,4 @@ def run_traffic(
 def open_traffic_run(folder: str | Path) -> TrafficRun:
     """Read a finished run with shares from its folder. Raises `InputError` if it is none."""
     folder = Path(folder)
-    tables, manifest = read_share_tables(folder), folder / "manifest.json"
-    if not manifest.is_file():
-        raise InputError(f"{folder}: no manifest.json in it; expected a run folder written by `cosim run`")
-    return TrafficRun(folder, **tables, manifest=read_json(manifest, dict[str, Any]))
+    return TrafficRun(folder, **read_share_tables(folder), manifest=read_manifest(folder))

@@ -26,9 +26,12 @@ from cosim.spec.input_files import find_net, sha256
 from cosim.spec.loading import override
 from cosim.spec.scenario import Scenario
 from gri.data.scene_file.schema import Header, joining
-from gri.errors import InputError
+from gri.errors import InputError, guarded_reading
+from gri.storage.verification import check_digest, digest, read_sealed, write_digest, write_sealed
+from gri.storage.whole_files import part_beside, publish, remove
 
-FILE = "scenes.parquet"
+FILE, SEEDS = "scenes.parquet", "seeds"
+FIX = "give the same command again, which simulates this seed once more"
 SEED_TIME_LIMIT = 24 * 3600.0  # [s] of wall-clock time
 MAX_EMPTY_SEEDS = 10  # seeds without any scene of a kind after which the data set is given up
 Tell = Callable[[int, int], None]  # (scenes so far, wanted)
@@ -94,11 +97,13 @@ class Dataset:
 def make(order: DatasetSpec, folder: Path, workers: int, tell: Tell, warn: Warn = lambda text: None) -> Dataset:
     """Simulate seeds until there are enough scenes of every kind, then join them; finished seeds are reused.
 
-    `tell` is called with the scenes so far and the scenes wanted. `warn` is called with a sentence about each seed that
-    had no scene of a kind; it says which rule turned down how many candidates. Raises `InputError` if the folder has a
-    data set already, or if no scene of a kind is found.
+    Nobody else may use the folder meanwhile. The data set is finished when `remove_seeds` has been called.
+
+    `tell` is called with the scenes so far and the scenes wanted. `warn` is called with a sentence about each finished
+    seed that is damaged and simulated again, and each seed that had no scene of a kind; it says which rule turned down
+    how many candidates. Raises `InputError` if the folder has a data set already, or if no scene of a kind is found.
     """
-    store = SeedStore(order, folder)
+    store = SeedStore(order, folder, warn)
     before = store.scenes()
     tell(before, order.total)
     while (enough := store.enough()) is None:
@@ -115,6 +120,13 @@ def make(order: DatasetSpec, folder: Path, workers: int, tell: Tell, warn: Warn 
     return Dataset(store.join(enough), tuple(store.results[k] for k in range(enough)), store.scenes() - before)
 
 
+def remove_seeds(folder: Path) -> None:
+    """Remove the files of the seeds of a data set whose file and report are written."""
+    aside = part_beside(folder / SEEDS)
+    (folder / SEEDS).rename(aside)  # at once, so that a killed command leaves all of them or none
+    remove(aside)
+
+
 def _refill(queue: deque[Task], store: "SeedStore", count: int) -> None:
     queue.extend(store.task() for _ in range(count))
 
@@ -122,18 +134,22 @@ def _refill(queue: deque[Task], store: "SeedStore", count: int) -> None:
 class SeedStore:
     """The seeds in a folder: which ones are finished, which ones are running, and whether there are enough."""
 
-    def __init__(self, order: DatasetSpec, folder: Path) -> None:
-        self.order, self.folder, self._seeds = order, folder, folder / "seeds"
-        if (folder / FILE).exists():
+    def __init__(self, order: DatasetSpec, folder: Path, warn: Warn = lambda text: None) -> None:
+        self.order, self.folder, self._seeds = order, folder, folder / SEEDS
+        if (folder / FILE).exists() and not self._seeds.exists():
             raise InputError(f"{folder / FILE}: exists already; give another --out, or remove it")
         self._seeds.mkdir(parents=True, exist_ok=True)
         net = sha256(find_net(order.scenario.net))
         self._salt = [net, version("gri-cosim"), version("libsumo")]
         self.results: dict[int, SeedResult] = {}
-        for path in self._seeds.iterdir():
-            found = self._read(path)
+        for path in sorted(self._seeds.iterdir()):
+            try:
+                found = self._read(path)
+            except InputError as error:
+                warn(f"{str(error).partition(';')[0]}; this seed is simulated again")
+                found = None
             if found is None:
-                shutil.rmtree(path)
+                remove(path)
             else:
                 self.results[int(path.name)] = found
         self._started = set(self.results)
@@ -142,11 +158,19 @@ class SeedStore:
         return hashlib.sha256(msgspec.json.encode([self.order.spec(k), self._salt])).hexdigest()
 
     def _read(self, path: Path) -> SeedResult | None:
-        """The result of a finished seed; None if the folder is incomplete or belongs to another data set."""
+        """The result of a finished seed; None if the folder is incomplete or belongs to another data set.
+
+        Errors: `DamagedError` if its files are not what was written.
+        """
         if not path.name.isdigit() or not (path / FIGURES).is_file():
             return None
-        result = msgspec.json.decode((path / FIGURES).read_bytes(), type=SeedResult)
-        return result if result.key == self._key(int(path.name)) else None
+        content = read_sealed(path / FIGURES, FIX)
+        if content.get("key") != self._key(int(path.name)):
+            return None
+        with guarded_reading(path / FIGURES, "result of a seed", FIX):
+            result = msgspec.convert(content, SeedResult)
+        check_digest(path / SCENES, result.sha256, FIX)
+        return result
 
     def task(self) -> Task:
         """The next seed that is neither finished nor running."""
@@ -163,10 +187,16 @@ class SeedStore:
             message = f"seed {self.order.scenario.seed + k}: {answer.message}"
             raise InputError(message) if answer.kind == "input" else RuntimeError(message)
         seconds = round(answer.cpu_seconds, 3)
-        result = SeedResult(key=self._key(k), figures=answer.value, cpu_seconds=seconds, peak_mb=answer.peak_mb)
         try:
-            (answer.folder / FIGURES).write_bytes(msgspec.json.encode(result))
-            os.replace(answer.folder, self._seeds / answer.name)
+            result = SeedResult(
+                key=self._key(k),
+                sha256=digest(answer.folder / SCENES),
+                figures=answer.value,
+                cpu_seconds=seconds,
+                peak_mb=answer.peak_mb,
+            )
+            write_sealed(answer.folder / FIGURES, msgspec.to_builtins(result))
+            publish(answer.folder, self._seeds / answer.name)
         except OSError as error:
             shutil.rmtree(answer.folder, ignore_errors=True)
             raise RuntimeError(
@@ -212,13 +242,13 @@ class SeedStore:
         return k
 
     def join(self, seeds: int) -> Path:
-        """Write the file of the data set from the first `seeds` seeds, and remove the files of the seeds."""
+        """Write the file of the data set from the first `seeds` seeds, and its hash beside it."""
         left: dict[str, int] = dict.fromkeys(self.order.kinds, self.order.count)
         with joining(self.folder / FILE, self.order.header(seeds)) as append:
             for k in range(seeds):
-                append(self._seeds / str(k) / SCENES, left)
+                append(check_digest(self._seeds / str(k) / SCENES, self.results[k].sha256, FIX), left)
                 left = {kind: max(left[kind] - _scenes(self.results[k], kind), 0) for kind in self.order.kinds}
-        shutil.rmtree(self._seeds)
+        write_digest(self.folder / FILE)
         return self.folder / FILE
 
 

@@ -4,12 +4,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from cosim.measures.label_agreement import Agreement
 from cosim.scenes.dataset import Dataset, DatasetSpec, total_tally
 from gri.core.edges import LANE_CHANGING
+from gri.storage.verification import write_sealed
 from gri.table import Table
 
 NAMES = [str(kind) for kind in LANE_CHANGING]
@@ -38,7 +38,7 @@ def report_of(spec: DatasetSpec, dataset: Dataset, seconds: float, folder: Path)
     )
     kinds = {kind: _with_agreement(total_tally(dataset.seeds, kind)) for kind in spec.kinds}
     report = {"kinds": kinds, "gold": spec.gold, "cost": cost}
-    (folder / "report.json").write_bytes(msgspec.json.format(msgspec.json.encode(report), indent=1) + b"\n")
+    write_sealed(folder / "report.json", report)
     return report
 
 

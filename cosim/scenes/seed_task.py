@@ -3,7 +3,6 @@
 Light to import: without torch a process is small, and copies of it for interventions are cheap.
 """
 
-import tempfile
 from pathlib import Path
 
 import msgspec
@@ -12,6 +11,7 @@ from cosim.scenes.scene_rules import DT
 from cosim.scenes.seed_scenes import SeedSpec, SeedStatistics, extract_scenes
 from cosim.spec.input_files import find_net
 from cosim.sumo import SumoError
+from cosim.traffic.scratch_files import scratch_folder
 from gri.data.scene_file.schema import Header, writing
 from gri.errors import InputError
 
@@ -22,6 +22,8 @@ class SeedResult(msgspec.Struct, frozen=True, kw_only=True):
     """The figures of a finished seed; `key` is the hash of everything that its scenes depend on."""
 
     key: str
+    sha256: str
+    """Hash of the file of its scenes."""
     figures: SeedStatistics
     cpu_seconds: float
     """[s] Of the process of the seed and its copies, without the start-up of the worker."""
@@ -36,7 +38,7 @@ def seed_task(folder: Path, spec: SeedSpec) -> SeedStatistics:
     """
     try:
         with (
-            tempfile.TemporaryDirectory(prefix="cosim-scenes-") as scratch,
+            scratch_folder(folder) as scratch,
             writing(folder / SCENES, Header(dt=DT)) as write,
         ):
             return extract_scenes(spec, find_net(spec.scenario.net), Path(scratch), write)

@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Float
 from torch import Tensor
 
+from cosim.runs.finished_run import read_scenario
 from cosim.runs.policy_loading import policy_of
-from cosim.runs.run_reading import read_json
 from cosim.runs.summary import driver_name
 from cosim.show.action_effects import AGREES, FAR, LOOK_BACK, Effect, drive_of, effects_of
 from cosim.show.episode_view import EpisodeView, InferredEdge
@@ -73,7 +73,7 @@ class Term:
 
 def explanation(view: EpisodeView, run: Path) -> str:
     """The inferred graph, the drive and its reasons, as text of at most 80 columns. `run` is the run folder."""
-    scenario = read_json(run / "scenario.json", Scenario)
+    scenario = read_scenario(run)
     driven = [role for role in range(2) if view.driven[:, role].any()]
     effects, remark = _effects(view, scenario, driven)
     reward = None

@@ -7,9 +7,9 @@ from pathlib import Path
 
 from markdown_it import MarkdownIt
 
-from cosim.batch.store import write_whole
 from cosim.show.templates import page
 from gri.errors import InputError
+from gri.storage.whole_files import write_whole
 
 REPORT, PAGE = "stress.md", "stress.html"
 

@@ -16,10 +16,9 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from cosim.runs.run_reading import read_json
+from cosim.runs.finished_run import read_scenario
 from cosim.show.episode_view import EpisodeView
 from cosim.spec.input_files import find_net
-from cosim.spec.scenario import Scenario
 from cosim.world.road_frame import sumo_angle_of
 from gri.errors import InputError
 
@@ -86,7 +85,7 @@ def replay(view: EpisodeView, poses: Sequence[Pose], run: Path) -> None:
 
 def command(view: EpisodeView, run: Path, program: str) -> list[str]:
     """The command line of sumo-gui, as a list of arguments."""
-    scenario = read_json(run / "scenario.json", Scenario)
+    scenario = read_scenario(run)
     options = {
         "net-file": str(find_net(scenario.net)),
         "step-length": f"{scenario.step:g}",

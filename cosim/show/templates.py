@@ -17,7 +17,7 @@ def page(template: str, **content: Any) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    inside = {name: (FOLDER / name).read_text() for name in ("style.css", "animation.js")}
+    inside = {name: (FOLDER / name).read_text(encoding="utf-8") for name in ("style.css", "animation.js")}
     return environment.get_template(template).render(
         style=inside["style.css"], script=inside["animation.js"], **content
     )

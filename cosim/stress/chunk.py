@@ -1,9 +1,6 @@
 """One chunk of a stress test: one simulation, and at each round one branch per cell and policy."""
 
 import dataclasses
-import json
-import os
-import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, fields
@@ -27,11 +24,12 @@ from cosim.runs.policy_loading import driver_of
 from cosim.runs.traffic_effects import traffic_effects
 from cosim.spec.input_files import find_net
 from cosim.spec.scenario import Scenario
+from cosim.stress.parts import write_part
 from cosim.stress.plan import Cell, Chunk, perturbed_scenario
 from cosim.stress.result_rows import result_row
-from cosim.sumo import SumoError
 from cosim.traffic.running_simulation import RunningSimulation, simulation
-from cosim.traffic.simulation_input import SumoFiles, prepare_simulation
+from cosim.traffic.scratch_files import scratch_files
+from cosim.traffic.simulation_input import prepare_simulation
 from cosim.world.groups import Group, isolated
 from cosim.world.snapshot import Snapshot
 from gri.errors import InputError
@@ -43,15 +41,15 @@ EFFECT_COLUMNS = ["policy", "start", *(field.name for field in fields(Effect))]
 
 
 def stress_chunk(chunk: Chunk, paths: Mapping[str, Path], facts: Mapping[str, Any], tell: Callable[..., None]) -> None:
-    """Compute a chunk and write the rows of each of its parts to the path of its key, with `facts` as JSON beside.
+    """Compute a chunk and write each of its parts to the path of its key, with `facts` (`cosim.stress.parts`).
 
-    The effects of the perturbations on single groups are in a file beside it (`effects_path`). A file of rows appears
-    whole or not at all. The wall-clock time [s] is shared evenly among the parts.
+    The wall-clock time [s] is shared evenly among the parts.
     """
     torch.set_num_threads(1)
     began, parts = time.monotonic(), chunk.parts
-    found, effects = chunk_rows(chunk, tell)
-    effects += _effects_on_traffic(chunk, next(iter(paths.values())).parent)
+    place = next(iter(paths.values())).parent
+    found, effects = chunk_rows(chunk, tell, place)
+    effects += _effects_on_traffic(chunk, place)
     reached, rows = pd.DataFrame(effects, columns=EFFECT_COLUMNS), pd.DataFrame(found).assign(seed=chunk.scenario.seed)
     rows = rows.astype({"intensity": float})  # nominal rows only would give a column of objects
     seconds = round((time.monotonic() - began) / len(parts), 2)
@@ -59,16 +57,8 @@ def stress_chunk(chunk: Chunk, paths: Mapping[str, Path], facts: Mapping[str, An
         path, (name,) = paths[part.key], part.policies
         kind = part.cells[0].perturbation
         mine = rows[(rows["policy"] == name) & (rows["perturbation"] == kind)]
-        reached[(reached["policy"] == name) & (reached["perturbation"] == kind)].to_csv(effects_path(path), index=False)
-        partial = path.with_suffix(".partial")
-        path.with_suffix(".json").write_text(json.dumps({**facts, "seconds": seconds}) + "\n")
-        mine.assign(chunk=part.key).to_parquet(partial, index=False)
-        os.replace(partial, path)
-
-
-def effects_path(rows: Path) -> Path:
-    """The file of the effects of a part's perturbations, beside the file of its rows."""
-    return rows.with_suffix(".effects.csv")
+        of_mine = reached[(reached["policy"] == name) & (reached["perturbation"] == kind)]
+        write_part(path, mine.assign(chunk=part.key), of_mine, {**facts, "seconds": seconds})
 
 
 def _effects_on_traffic(chunk: Chunk, cache: Path) -> Rows:
@@ -76,11 +66,11 @@ def _effects_on_traffic(chunk: Chunk, cache: Path) -> Rows:
     if chunk.unperturbed is None:
         return []
     whole = perturbed_scenario(replace(chunk.scenario, traffic=chunk.unperturbed), chunk.cells[0])
-    effects = traffic_effects(whole, lambda *_: None, cache)
+    effects = traffic_effects(whole, lambda *_: None, cache, cache)
     return [{"policy": name, "start": "", **asdict(effect)} for name in chunk.policies for effect in effects]
 
 
-def chunk_rows(chunk: Chunk, tell: Callable[..., None]) -> tuple[Rows, Rows]:
+def chunk_rows(chunk: Chunk, tell: Callable[..., None], scratch: Path | None = None) -> tuple[Rows, Rows]:
     """One row per start, cell and policy, and one per effect of a perturbation on these starts.
 
     Raises `InputError` if the traffic has too few starts, or without fork."""
@@ -89,29 +79,25 @@ def chunk_rows(chunk: Chunk, tell: Callable[..., None]) -> tuple[Rows, Rows]:
     scenario, rows, effects, starts = chunk.scenario, [], [], 0
     drivers = {name: driver_of(replace(scenario, policy=policy)) for name, policy in chunk.policies.items()}
     cells = {cell: perturbed_scenario(scenario, cell) for cell in chunk.cells}
-    with tempfile.TemporaryDirectory() as scratch:
-        files = SumoFiles(find_net(scenario.net), Path(scratch, "routes.rou.xml"), Path(scratch, "sumo.log"))
+    with scratch_files(find_net(scenario.net), scratch) as files:
         inputs = prepare_simulation(replace(scenario, perturbations=()), files, scenario.time_limit)
         inputs.write()
-        try:
-            with simulation(inputs) as running:
-                trunk = Trunk(running, inputs.scenario)
-                trunk.warm_up(lambda *_: None)
-                while starts < chunk.starts and trunk.time < inputs.end:
-                    history = trunk.observe_history()
-                    found = trunk.find_groups(history, limit=chunk.starts - starts)
-                    if found.groups:
-                        # The other sets would need branches of their own for every cell and policy.
-                        this_round = dataclasses.replace(found, groups=isolated(found.groups, history[-1])[0])
-                        starts += len(this_round.groups)
-                        speeds = fork(lambda: trunk.leave_to_sumo(history, this_round)[1]).result()  # noqa: B023
-                        driven, reached = round_rows(running, history, this_round, speeds, cells, drivers)
-                        rows, effects = rows + driven, effects + reached
-                        tell("starts", starts, chunk.starts)
-                        for _ in range(PAUSE):
-                            trunk.observe_history()
-        except SumoError as error:
-            raise InputError(f"SUMO refused the scenario: {error}") from error
+        with simulation(inputs) as running:
+            trunk = Trunk(running, inputs.scenario)
+            trunk.warm_up(lambda *_: None)
+            while starts < chunk.starts and trunk.time < inputs.end:
+                history = trunk.observe_history()
+                found = trunk.find_groups(history, limit=chunk.starts - starts)
+                if found.groups:
+                    # The other sets would need branches of their own for every cell and policy.
+                    this_round = dataclasses.replace(found, groups=isolated(found.groups, history[-1])[0])
+                    starts += len(this_round.groups)
+                    speeds = fork(lambda: trunk.leave_to_sumo(history, this_round)[1]).result()  # noqa: B023
+                    driven, reached = round_rows(running, history, this_round, speeds, cells, drivers)
+                    rows, effects = rows + driven, effects + reached
+                    tell("starts", starts, chunk.starts)
+                    for _ in range(PAUSE):
+                        trunk.observe_history()
     if starts < chunk.starts:
         raise InputError(
             f"group: found {starts} of {chunk.starts} starts within {scenario.time_limit:g} s (seed {scenario.seed});"

@@ -1,9 +1,9 @@
 """A whole stress test: run its chunks in worker processes, then write tables, figures and the report."""
 
-import json
 import multiprocessing
 import platform
 import subprocess
+import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass
@@ -17,19 +17,22 @@ import pandas as pd
 
 from cosim.batch.group_statistics import cluster_note
 from cosim.perturb.effects import KEY, pooled
-from cosim.process.worker_process import run_in_worker
-from cosim.runs.run_reading import read_json
+from cosim.process.worker_process import GRACE, run_in_worker
 from cosim.spec.input_files import checkpoint_path, find_net, sha256
 from cosim.spec.scenario import Merge, Scenario, TrainedPolicy
 from cosim.stress import estimates, figures
-from cosim.stress.chunk import effects_path
+from cosim.stress.parts import FIX, is_finished, read_part
 from cosim.stress.plan import NOMINAL, PACKAGES, Chunk
 from cosim.stress.report import stress_report
 from cosim.stress.result_rows import compared_with_sumo
 from cosim.world.outcome_columns import with_outcome_columns
-from gri.errors import InputError
+from gri.errors import InputError, guarded_reading
+from gri.storage.verification import check_digest, digest, read_sealed, write_sealed
+from gri.storage.whole_files import sweep, whole_file, write_whole
 
 Tell = Callable[[str, int, int], None]
+Warn = Callable[[str], None]
+FACTS = "stress.json"
 RENAMED = {"taken_at": "takeover_time", "driven_for": "drive_duration"}  # columns of version 0.1
 
 
@@ -45,15 +48,19 @@ class Computation:
     effects: pd.DataFrame
 
 
-def run_stress(chunks: Sequence[Chunk], folder: Path, workers: int, tell: Tell) -> tuple[pd.DataFrame, Computation]:
+def run_stress(
+    chunks: Sequence[Chunk], folder: Path, workers: int, tell: Tell, warn: Warn = lambda text: None
+) -> tuple[pd.DataFrame, Computation]:
     """The rows of all chunks in their order, and how they were computed.
 
-    Finished parts in `folder` are reused. `tell` is called with "starts", the starts driven and all starts.
+    Finished parts in `folder`, which nobody else may use meanwhile, are reused. `tell` is called with "starts", the
+    starts driven and all starts, `warn` with a sentence about each finished part that is damaged and computed again.
     """
     results = folder / "chunks"
     results.mkdir(parents=True, exist_ok=True)
+    sweep(results)
     paths = {part.key: results / f"{part.key}.parquet" for chunk in chunks for part in chunk.parts}
-    missing = {chunk.key: [part for part in chunk.parts if not paths[part.key].is_file()] for chunk in chunks}
+    missing = {chunk.key: [part for part in chunk.parts if not is_finished(paths[part.key], warn)] for chunk in chunks}
     starts = {chunk.key: 0 if missing[chunk.key] else chunk.starts for chunk in chunks}
     total, facts = sum(chunk.starts for chunk in chunks), {"commit": _commit()}
     tell("starts", sum(starts.values()), total)
@@ -68,11 +75,11 @@ def run_stress(chunks: Sequence[Chunk], folder: Path, workers: int, tell: Tell) 
 
     with ThreadPoolExecutor(workers) as pool:
         _finish([pool.submit(compute, chunk) for chunk in chunks if missing[chunk.key]])
-    rows = pd.concat([_read_rows(chunk, paths) for chunk in chunks], ignore_index=True)
-    records = [read_json(path.with_suffix(".json"), dict[str, Any]) for path in paths.values()]
-    effects = pd.concat(
-        [pd.read_csv(effects_path(path), keep_default_na=False, na_values=[""]) for path in paths.values()]
-    )
+    found = {key: read_part(path) for key, path in paths.items()}
+    rows = pd.concat([_rows(chunk, {key: part[0] for key, part in found.items()}) for chunk in chunks])
+    rows = rows.reset_index(drop=True)
+    records = [facts for _, _, facts in found.values()]
+    effects = pd.concat([reached for _, reached, _ in found.values()])
     effects = effects.fillna({"unit": "", "remark": "", "start": ""})
     return compared_with_sumo(rows), Computation(
         sum(part["seconds"] for part in records),
@@ -81,9 +88,9 @@ def run_stress(chunks: Sequence[Chunk], folder: Path, workers: int, tell: Tell) 
     )
 
 
-def _read_rows(chunk: Chunk, paths: Mapping[str, Path]) -> pd.DataFrame:
+def _rows(chunk: Chunk, parts: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     """The rows of a chunk's parts, in the order of its cells and policies."""
-    rows = pd.concat([pd.read_parquet(paths[part.key]) for part in chunk.parts], ignore_index=True)
+    rows = pd.concat([parts[part.key] for part in chunk.parts], ignore_index=True)
     cells = {(cell.perturbation, cell.intensity): k for k, cell in enumerate(chunk.cells)}
     graded = zip(rows["perturbation"], rows["intensity"], strict=True)
     order = pd.Series([cells[kind, None if np.isnan(x) else x] for kind, x in graded])
@@ -93,15 +100,16 @@ def _read_rows(chunk: Chunk, paths: Mapping[str, Path]) -> pd.DataFrame:
 def _finish(futures: Sequence[Future[None]]) -> None:
     """Wait for all; at the first failure, or at Ctrl-C, end the workers of the others."""
     try:
-        wait(futures, return_when="FIRST_EXCEPTION")
+        wait(futures, return_when="FIRST_EXCEPTION")  # each has its limits: see `run_in_worker`
         for future in futures:
             if future.done():
                 future.result()
     except BaseException:
         running = [future for future in futures if not future.cancel()]
+        patience = time.monotonic() + GRACE
         while wait(running, timeout=0.2).not_done:  # repeatedly, because one may be about to start its worker
             for process in multiprocessing.active_children():
-                process.terminate()
+                process.terminate() if time.monotonic() < patience else process.kill()
         raise
 
 
@@ -118,12 +126,19 @@ def publish(
     `facts` is written to `stress.json`, together with what is needed to compute the rows again. `decided` is the result
     of a sequential test.
     """
+    (folder / FACTS).unlink(missing_ok=True)
     files = write_results(rows, effects, chunks[0].scenario, folder, decided)
-    facts_file = folder / "stress.json"
-    facts_file.write_text(
-        json.dumps(facts | ({"decided": decided} if decided else {}) | provenance(chunks), indent=1) + "\n"
-    )
-    return [*files, facts_file]
+    _write_facts(folder, facts | ({"decided": decided} if decided else {}) | provenance(chunks))
+    return [*files, folder / FACTS]
+
+
+def _write_facts(folder: Path, facts: Mapping[str, Any]) -> None:
+    """Write how the tables were made, with their hashes."""
+    write_sealed(folder / FACTS, {**facts, "results": {path.name: digest(path) for path in _tables_in(folder)}})
+
+
+def _tables_in(folder: Path) -> list[Path]:
+    return sorted(folder.glob("*.parquet"))
 
 
 def write_results(
@@ -146,10 +161,12 @@ def write_results(
         "differences": estimates.differences(rows),
         **({} if effects is None else {"effects": effects}),
     }
-    rows.to_parquet(folder / "episodes.parquet", index=False)
+    for name, table in {"episodes": rows, **tables}.items():
+        with whole_file(folder / f"{name}.parquet") as file:
+            table.to_parquet(file, index=False)
     for name, table in tables.items():
-        table.to_parquet(folder / f"{name}.parquet", index=False)
-        table.to_csv(folder / f"{name}.csv", index=False)
+        with whole_file(folder / f"{name}.csv") as file:
+            table.to_csv(file, index=False)
     if draw:
         figures.draw(tables["estimates"], kinds, folder / "figures", lane_changes=isinstance(scenario.group, Merge))
     drawn = sorted((folder / "figures").glob("*.[ps][nv]g"))
@@ -157,7 +174,7 @@ def write_results(
     shown = (tables["counts"], tables["estimates"], tables["differences"])
     text = stress_report(title, *shown, kinds, {path.stem for path in drawn}, cluster_note(rows), decided, effects)
     report = folder / "stress.md"
-    report.write_text(text, encoding="utf-8")
+    write_whole(report, text)
     return [report, folder / "episodes.parquet", *(folder / f"{name}.parquet" for name in tables), *drawn]
 
 
@@ -167,19 +184,25 @@ def publish_again(folder: Path, *, draw: bool = True) -> list[Path]:
     Rows of version 0.1 get the outcome columns from what they know.
 
     Raises:
-        InputError: the folder is none of a stress test.
+        InputError: the folder is none of a stress test, or its tables are not what was written.
     """
-    rows, facts = folder / "episodes.parquet", folder / "stress.json"
+    rows, facts = folder / "episodes.parquet", folder / FACTS
     if not rows.is_file() or not facts.is_file():
         raise InputError(
             f"{folder}: no episodes.parquet and stress.json in it; give a folder that `cosim stress` wrote"
         )
-    content = json.loads(facts.read_text())
-    scenario = msgspec.convert(content["scenario"], Scenario)
+    content = read_sealed(facts, FIX)
+    for name, wanted in content.get("results", {}).items():
+        check_digest(folder / name, wanted, FIX)
+    with guarded_reading(facts, "file of a stress test", FIX):
+        scenario = msgspec.convert(content["scenario"], Scenario)
     table = with_outcome_columns(pd.read_parquet(rows).rename(columns=RENAMED))
     known = folder / "effects.parquet"
     effects = pd.read_parquet(known) if known.is_file() else None
-    return write_results(table, effects, scenario, folder, content.get("decided", ""), draw=draw)
+    files = write_results(table, effects, scenario, folder, content.get("decided", ""), draw=draw)
+    if "results" in content:
+        _write_facts(folder, content)
+    return files
 
 
 def provenance(chunks: Sequence[Chunk]) -> dict[str, Any]:
@@ -200,8 +223,13 @@ def _commit() -> str:
     """The commit of the source tree; "unknown" outside a git repository."""
     try:
         found = subprocess.run(
-            ["git", "rev-parse", "HEAD"], cwd=Path(__file__).parent, capture_output=True, text=True, check=True
+            ["git", "rev-parse", "HEAD"],
+            cwd=Path(__file__).parent,
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=10,
         )
-    except (OSError, subprocess.CalledProcessError):
+    except (OSError, subprocess.SubprocessError):
         return "unknown"
     return found.stdout.strip()

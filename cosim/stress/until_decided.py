@@ -9,7 +9,7 @@ import pandas as pd
 
 from cosim.measures.sequential_test import Decision, decide
 from cosim.stress.plan import Cell, Chunk
-from cosim.stress.stress_test import Computation, Tell, run_stress
+from cosim.stress.stress_test import Computation, Tell, Warn, run_stress
 from gri.errors import InputError
 
 STARTS_PER_SEED = 2  # few, because the evidence grows with the number of seeds; more than one shares the warm-up
@@ -39,7 +39,12 @@ def contest_of(text: str, policies: Sequence[str], sweeps: dict[str, tuple[float
 
 
 def run_until_decided(
-    chunks: Sequence[Chunk], contest: Contest, folder: Path, workers: int, tell: Tell
+    chunks: Sequence[Chunk],
+    contest: Contest,
+    folder: Path,
+    workers: int,
+    tell: Tell,
+    warn: Warn = lambda text: None,
 ) -> tuple[Sequence[Chunk], pd.DataFrame, Computation, Decision]:
     """Run the chunks, as many seeds at a time as there are workers, until the contest is decided or all are done.
 
@@ -49,7 +54,7 @@ def run_until_decided(
     most = sum(chunk.starts for chunk in chunks)
     for end in range(workers, len(seeds) + workers, workers):
         begun = [chunk for chunk in chunks if chunk.scenario.seed in seeds[:end]]
-        rows, computation = run_stress(begun, folder, workers, lambda stage, done, _: tell(stage, done, most))
+        rows, computation = run_stress(begun, folder, workers, lambda stage, done, _: tell(stage, done, most), warn)
         decision = decide(seed_differences(rows, contest), contest.error)
         if decision.better:
             break

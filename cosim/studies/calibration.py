@@ -27,10 +27,12 @@ from cosim.runs.run_job import survey_job
 from cosim.spec.demand import Traffic
 from cosim.spec.scenario import Scenario
 from cosim.studies.traffic_targets import TrafficStatistics, target_checks, traffic_statistics
-from gri.errors import InputError
+from gri.errors import InputError, guarded_reading
+from gri.storage.whole_files import write_whole
 
 MAX_CHANGE = 0.25  # of a parameter, relative to its initial value
 FIRST_STEP, LAST_STEP = 0.04, 0.005  # trust-region radii, relative to the initial values
+SIMULATION_LIMIT = 24 * 3600.0  # [s]
 COLLISION_PENALTY = 100.0  # added to the misfit for each collision or teleport
 
 Tell = Callable[[str, int, int], None]
@@ -163,7 +165,12 @@ def _evaluate(calibration: Calibration, values: tuple[float, ...], executor: Exe
     tasks = [
         executor.submit(_simulate, replace(variant, seed=seed), calibration.duration) for seed in calibration.seeds
     ]
-    runs = tuple(task.result() for task in tasks)
+    try:
+        runs = tuple(task.result(SIMULATION_LIMIT) for task in tasks)
+    except TimeoutError:
+        raise RuntimeError(
+            f"waited {SIMULATION_LIMIT / 3600:g} h for a simulation of one seed, then ended it"
+        ) from None
     return Evaluation(values, misfit_of(variant, runs), runs)
 
 
@@ -178,23 +185,30 @@ def _executor(workers: int) -> Iterator[Executor]:
     try:
         yield executor
     finally:
+        for process in list((executor._processes or {}).values()):  # there is no public way to end running tasks
+            process.kill()
         executor.shutdown(wait=True, cancel_futures=True)
 
 
 def _read(calibration: Calibration) -> list[Evaluation]:
     if not calibration.log.is_file():
         return []
-    first, *lines = calibration.log.read_text().splitlines()
-    if json.loads(first) != {"problem": calibration.problem}:
-        raise InputError(f"{calibration.folder}: has a calibration with other settings; give another --out")
-    return [msgspec.json.decode(line, type=Evaluation) for line in lines]
+    with guarded_reading(calibration.log, "log of a calibration", "remove it, then the search begins anew"):
+        text = calibration.log.read_text(encoding="utf-8")
+        if not text.endswith("\n"):  # a killed command left half a line
+            text = text[: text.rfind("\n") + 1]
+            write_whole(calibration.log, text)
+        first, *lines = text.splitlines()
+        if json.loads(first) != {"problem": calibration.problem}:
+            raise InputError(f"{calibration.folder}: has a calibration with other settings; give another --out")
+        return [msgspec.json.decode(line, type=Evaluation) for line in lines]
 
 
 def _write(calibration: Calibration, found: Evaluation) -> None:
     """Append an evaluation to the log, whose first line identifies the calibration."""
     if not calibration.log.is_file():
-        calibration.log.write_text(json.dumps({"problem": calibration.problem}) + "\n")
-    with calibration.log.open("a") as file:
+        write_whole(calibration.log, json.dumps({"problem": calibration.problem}) + "\n")
+    with calibration.log.open("a", encoding="utf-8") as file:
         file.write(json.dumps(asdict(found)) + "\n")
 
 
@@ -203,4 +217,4 @@ def _write_traffic(calibration: Calibration, best: Evaluation, evaluations: int)
     seeds = ", ".join(map(str, calibration.seeds))
     header = f"# Found by `cosim calibrate` in {evaluations} evaluations with the seeds {seeds}:\n# {values}\n"
     content = msgspec.to_builtins(calibration.traffic(best.values))
-    (calibration.folder / "traffic.yaml").write_text(header + yaml.safe_dump(content, sort_keys=False, width=120))
+    write_whole(calibration.folder / "traffic.yaml", header + yaml.safe_dump(content, sort_keys=False, width=120))

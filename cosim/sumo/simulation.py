@@ -20,6 +20,7 @@ from cosim.sumo.bends import slow_before_bends
 from cosim.sumo.cache import CachedVehicleValues
 from cosim.sumo.drivers import Drivers
 from cosim.sumo.net import Net
+from cosim.sumo.path_encoding import use_utf8_paths
 from cosim.sumo.positions import SHADOW, without_shadows
 from cosim.sumo.states import StateReader
 from cosim.world.road_frame import RoadFrame, sumo_angle_of
@@ -256,7 +257,8 @@ def sumo(arguments: Sequence[str], log: Path) -> Iterator[Sumo]:
     _running = True
     try:
         with sumo_errors(log):
-            _start(arguments)
+            use_utf8_paths()
+            _start(arguments, log)
             world = Sumo()
             try:
                 yield world
@@ -275,10 +277,10 @@ def sumo_errors(log: Path) -> Iterator[None]:
         raise SumoError(_native_message(error, log)) from error
 
 
-def _start(arguments: Sequence[str]) -> None:
+def _start(arguments: Sequence[str], log: Path) -> None:
     """Start SUMO. What it prints while it fails to start is in the SumoError: its error log is still empty then."""
     sys.stderr.flush()
-    with TemporaryFile() as printed:
+    with TemporaryFile(dir=log.parent) as printed:
         kept = os.dup(2)
         os.dup2(printed.fileno(), 2)
         try:

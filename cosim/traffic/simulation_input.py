@@ -53,7 +53,7 @@ class SimulationInput:
     def write(self) -> None:
         """Write the files that SUMO reads besides the net and the user's own files."""
         for path, text in self.texts.items():
-            path.write_text(text)
+            path.write_text(text, encoding="utf-8")
 
 
 def prepare_simulation(scenario: Scenario, files: SumoFiles, duration: float) -> SimulationInput:

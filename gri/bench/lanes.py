@@ -28,10 +28,11 @@ from gri.bench.lane_scenes import (
     summary_graph,
 )
 from gri.bench.lane_scores import accuracy, confusion_counts, false_relation, scores_of, with_interval
-from gri.bench.resumable_jobs import Job, chosen_jobs, finish, job_file, pivot, score_table, write_whole
+from gri.bench.resumable_jobs import Job, chosen_jobs, finish, job_file, pivot, score_table
 from gri.bench.scores import Score
 from gri.core.edges import LANE_CHANGING
 from gri.progress import Progress, no_progress
+from gri.storage.whole_files import write_whole
 
 VERSION = 1  # of the scenes and rows; another one makes all jobs again
 TRAINING = 500  # scenes of each driver model

@@ -26,9 +26,10 @@ from gri.bench.merge_scores import (
     claimed,
     with_interval,
 )
-from gri.bench.resumable_jobs import check_names, finish, job_file, write_whole
+from gri.bench.resumable_jobs import check_names, finish, job_file, kept
 from gri.errors import InputError
 from gri.progress import Progress, no_progress
+from gri.storage.whole_files import write_whole
 
 VERSION = 1  # of the rows and scores; another one makes all jobs again
 
@@ -65,11 +66,13 @@ class Plan:
     def constants(self, seed: int) -> dict[str, float]:
         """Learned driver constants; once learned they are kept."""
         inputs = [_digest(file) for file in self.train]
-        kept = self._named("constants", seed, LEARNING_UPDATES, LEARNING_SCENES, inputs)
-        if not kept.is_file():
+        file = self._named("constants", seed, LEARNING_UPDATES, LEARNING_SCENES, inputs)
+
+        def learn() -> dict[str, float]:
             found = learned([_scenes(file) for file in self.train], seed)
-            write_whole(kept, json.dumps({name: round(value, 6) for name, value in found.items()}, indent=1))
-        return json.loads(kept.read_text())
+            return {name: round(value, 6) for name, value in found.items()}
+
+        return kept(file, learn)
 
     def training(self) -> Training:
         """What rows may learn from."""

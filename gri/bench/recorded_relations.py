@@ -30,11 +30,12 @@ from gri.bench.recorded_sets import (
     RecordedSet,
     Recordings,
 )
-from gri.bench.resumable_jobs import check_names, finish, job_file, write_whole
+from gri.bench.resumable_jobs import check_names, finish, job_file, kept
 from gri.bench.scores import Score
 from gri.core.edges import pairs
 from gri.data.ngsim.following_triples import read_sites
 from gri.progress import Progress, no_progress
+from gri.storage.whole_files import write_whole
 
 VERSION = 1  # of the windows and rows; another one makes all jobs again
 KEYS = ["row", "given", "part", "site", "window", "vehicles", "kind", "score"]
@@ -105,10 +106,9 @@ def run_recorded(plan: RecordedPlan, progress: Progress = no_progress) -> pd.Dat
 def _lane_changes(plan: RecordedPlan, digests: list[str]) -> list[dict[str, Any]]:
     """Scores of recorded lane changes; made once."""
     path = job_file(plan.out, ("recorded lane changes", VERSION, digests))
-    if not path.is_file():
-        write_whole(path, lane_change_scores(plan.files).to_json(orient="records", indent=1))
+    lines = kept(path, lambda: json.loads(lane_change_scores(plan.files).to_json(orient="records")))
     where = {"part": "test", "site": "all", "window": "8 s", "vehicles": "lane changes", "kind": "lane changes"}
-    return [{**line, **where} for line in json.loads(path.read_text())]
+    return [{**line, **where} for line in lines]
 
 
 def _over_seeds(long: pd.DataFrame) -> pd.DataFrame:

@@ -29,12 +29,12 @@ from gri.bench.resumable_jobs import (
     number,
     pivot,
     score_table,
-    write_whole,
 )
 from gri.bench.rows import ROWS, UPDATES, WINDOW, Row
 from gri.bench.scores import SCORES, abstention_area, bootstrap, reliability, risk_curve, score, unknown_auc
 from gri.core.edges import pairs
 from gri.progress import Progress, no_progress
+from gri.storage.whole_files import write_whole
 
 VERSION = 2  # of the scenes and rows; another one makes all jobs again
 TRAINING, VALIDATION = 1500, 300  # scenes of each driver model and family

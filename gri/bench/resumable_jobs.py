@@ -1,9 +1,9 @@
 """Jobs of a benchmark, such as a row and a seed. A finished job is a file, so that an interrupted command continues."""
 
 import json
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from hashlib import sha256
 from importlib.util import find_spec
 from pathlib import Path
@@ -12,8 +12,11 @@ from typing import Any, Generic, TypeVar, TypeVarTuple
 import numpy as np
 import pandas as pd
 
-from gri.errors import InputError
+from gri.errors import InputError, guarded_reading
 from gri.progress import Progress
+from gri.storage.verification import check_own_digest, set_aside, write_digest
+from gri.storage.whole_files import write_whole
+from gri.terminal import notice
 
 S = TypeVar("S")
 A = TypeVar("A")
@@ -86,11 +89,25 @@ def finish(
     for done, job in enumerate(jobs):
         progress(stage, done, len(jobs), 0.0)
         path = file(*job)
-        if not path.is_file():
-            write_whole(path, json.dumps(result(*job), indent=1))
-        found.append(json.loads(path.read_text()))
+        found.append(kept(path, partial(result, *job)))
     progress(stage, len(jobs), len(jobs), 0.0)
     return found
+
+
+def kept(path: Path, compute: Callable[[], Any]) -> Any:
+    """A value that JSON can hold (NaN included): read from its file, or computed and written there.
+
+    A file that is not what was written is renamed, and computed again.
+    """
+    try:
+        check_own_digest(path, "")
+    except InputError as error:
+        notice(f"{str(error).partition(';')[0]}; it is made again, the old file is {set_aside(path)}")
+    if not path.is_file():
+        write_whole(path, json.dumps(compute(), indent=1))
+        write_digest(path)
+    with guarded_reading(path, "result of a job", "remove it, then it is made again"):
+        return json.loads(path.read_text())
 
 
 def score_table(jobs: Sequence[Job[S, A]], results: Sequence[list[dict[str, Any]]]) -> pd.DataFrame:
@@ -134,14 +151,3 @@ def pivot(part: pd.DataFrame, suffix: str = "", cell: Callable[[float, float, fl
     lines = [f"| row | {' | '.join(heads)} |", "|---" * (len(heads) + 1) + "|"]
     rows = dict.fromkeys(part["row"])
     return "\n".join([*lines, *(f"| {row} | {' | '.join(cells[row, name] for name in sets)} |" for row in rows)])
-
-
-def write_whole(path: Path, text: str) -> None:
-    """The file appears whole or not at all."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_name(f"{path.name}.{os.getpid()}.part")
-    try:
-        partial.write_text(text)
-        os.replace(partial, path)
-    finally:
-        partial.unlink(missing_ok=True)

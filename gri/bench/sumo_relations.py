@@ -18,7 +18,7 @@ import torch
 from jaxtyping import Bool, Float
 
 from gri.bench.answers import ask
-from gri.bench.resumable_jobs import chosen_jobs, finish, job_file, left_out, pivot, score_table, write_whole
+from gri.bench.resumable_jobs import chosen_jobs, finish, job_file, left_out, pivot, score_table
 from gri.bench.rows import ROWS, UPDATES, Row
 from gri.bench.scores import SCORES, score
 from gri.bench.sumo_scenes import (
@@ -32,6 +32,7 @@ from gri.bench.sumo_scenes import (
     read_sumo_file,
 )
 from gri.progress import Progress, no_progress
+from gri.storage.whole_files import write_whole
 
 VERSION = 1  # of the scores; another one makes all jobs again
 

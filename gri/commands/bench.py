@@ -10,16 +10,20 @@ import typer
 from gri.commands.models import one_thread
 from gri.errors import InputError
 from gri.progress import Progress
+from gri.storage.claims import claimed_folder
 from gri.terminal import ProgressDisplay, next_command, notice, say
 
 app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Measure what inferred relations are worth.")
 
 
 @contextmanager
-def _resumable() -> Iterator[Progress]:
-    """Progress of a benchmark; Ctrl-C ends the command with exit code 130 and says that it can continue."""
+def _resumable(out: Path) -> Iterator[Progress]:
+    """Progress of a benchmark, which holds its folder.
+
+    Ctrl-C ends the command with exit code 130 and says that it can continue.
+    """
     try:
-        with ProgressDisplay() as progress:
+        with claimed_folder(out), ProgressDisplay() as progress:
             yield progress
     except KeyboardInterrupt:
         notice("stopped; finished rows are kept, the same command continues")
@@ -64,7 +68,7 @@ def relations(
     from gri.bench.relations import Plan, run
     from gri.bench.sumo_relations import SumoPlan, run_sumo
 
-    with _resumable() as progress:
+    with _resumable(out) as progress:
         if recordings and not only_sumo:
             run_recorded(RecordedPlan(out, tuple(recordings), seeds, tuple(row or ()), lanes=not row), progress)
         elif not only_sumo:
@@ -97,7 +101,7 @@ def lanes(
     one_thread()
     from gri.bench.lanes import LanePlan, run_lanes
 
-    with _resumable() as progress:
+    with _resumable(out) as progress:
         run_lanes(LanePlan(out, seeds, scenes, tuple(row or ())), progress)
     for name in ("lanes.md", "lanes.csv", "lanes.json"):
         say(str(out / name))
@@ -120,7 +124,7 @@ def merges(
     one_thread()
     from gri.bench.merges import Plan, run
 
-    with _resumable() as progress:
+    with _resumable(out) as progress:
         run(Plan(out, tuple(scenes), tuple(train), seeds, tuple(row or ())), progress)
     for name in ("merges.md", "merges.csv", "merges.json"):
         say(str(out / name))

@@ -9,7 +9,7 @@ from gri.commands.models import data, evaluate, teach, train
 from gri.commands.ngsim import app as ngsim_app
 from gri.commands.reproduce import reproduce
 from gri.commands.scenes import app as scenes_app
-from gri.errors import InputError
+from gri.errors import SYSTEM_ERRORS, InputError, refused_by_system
 from gri.terminal import fail, show_version
 
 # Without a markup mode the help is plain text: units in square brackets, such as [m], would vanish as Rich markup.
@@ -40,11 +40,13 @@ def gri(
 
 
 def main() -> None:
-    """Entry point. Bad input is one line on stderr and exit code 2."""
+    """Entry point. Errors are one line on stderr; the exit code is 2 for bad input, 1 for what the system refuses."""
     try:
         app()
     except InputError as error:
         fail(str(error), 2)
+    except SYSTEM_ERRORS as error:
+        fail(refused_by_system(error), 1)
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ import typer
 
 from gri import resources
 from gri.errors import InputError
+from gri.storage.verification import check_own_digest
 from gri.table import Table
 from gri.terminal import FormatOption, ProgressDisplay, next_command, say, show_tables
 
@@ -22,6 +23,7 @@ ConfigArgument = Annotated[
 ]
 ScenesOption = Annotated[Path, typer.Option("--scenes", help="Folder of the synthetic scenes.")]
 SCENES = Path("runs/scenes")
+REMAKE = "make it again with `cosim scenes` or `gri ngsim scenes`"
 
 
 def data(
@@ -67,13 +69,15 @@ def train(
     """Train a model and write its checkpoint."""
     chosen = _read(config)
     from gri import checkpoint
+    from gri.storage.claims import claimed_place
     from gri.training.train import train as train_model
 
     path = out or Path("runs") / f"{chosen.name}-s{seed}.safetensors"
-    splits = _scenes(chosen, scenes) if ngsim is None else _recorded(chosen, ngsim, scenes)
-    with ProgressDisplay() as progress:
-        trained = train_model(chosen, splits, seed, progress)
-    checkpoint.save(path, trained.model, trained.reward, trained.provenance)
+    with claimed_place(path):
+        splits = _scenes(chosen, scenes) if ngsim is None else _recorded(chosen, ngsim, scenes)
+        with ProgressDisplay() as progress:
+            trained = train_model(chosen, splits, seed, progress)
+        checkpoint.save(path, trained.model, trained.reward, trained.provenance)
     say(f"trained in {trained.provenance['seconds']} s, wrote {path}")
     next_command(f"gri evaluate {path}")
 
@@ -97,6 +101,7 @@ def teach(
     """
     one_thread()
     from gri import checkpoint
+    from gri.storage.claims import claimed_place
     from gri.training.relations.teach_checkpoint import teach_model
     from gri.training.relations.teach_encoder import TeachingSettings
 
@@ -113,9 +118,10 @@ def teach(
         known = _scenes(config, scenes).train.observed[:, :, :steps]
     else:
         raise InputError(f"{path}: got no recordings, wanted those that it learned from; give them with --recordings")
-    with ProgressDisplay() as progress:
-        taught, how = teach_model(model, known, settings, seed, windows, progress=progress)
-    checkpoint.save(out, taught, checkpoint.load_reward(path), {**made, "teaching": how})
+    with claimed_place(out):
+        with ProgressDisplay() as progress:
+            taught, how = teach_model(model, known, settings, seed, windows, progress=progress)
+        checkpoint.save(out, taught, checkpoint.load_reward(path), {**made, "teaching": how})
     say(f"taught in {how['cpu_seconds']} s of CPU, wrote {out}")
     next_command(f"gri evaluate {out}")
 
@@ -143,6 +149,8 @@ def evaluate(
     model, made = checkpoint.load(path), checkpoint.provenance(path)
     config = _trained_with(path, made)
     found, remarks = None, []
+    if scene_file is not None:
+        check_own_digest(scene_file, REMAKE)
     if scene_file is None:
         test = _scenes(config, scenes).test
     elif config.data.scene_file_range is not None:
@@ -212,7 +220,8 @@ def _recorded(config: "TrainConfig", source: Path, folder: Path) -> "Splits":
     if config.data.recorded is None:
         raise InputError(f"got --ngsim, but {config.name} learns from synthetic scenes; leave it out")
     with ProgressDisplay() as progress:
-        return recorded_splits(config.data.recorded, [scene_file(source, folder, progress)])
+        file = scene_file(check_own_digest(source, REMAKE), folder, progress)
+    return recorded_splits(config.data.recorded, [file])
 
 
 def _table(name: str, result: "Evaluation", scenes: int) -> Table:

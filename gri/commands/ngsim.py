@@ -64,12 +64,16 @@ def scenes(
     from gri.data.ngsim.extract import extract
     from gri.data.ngsim.rules import Rules
     from gri.data.ngsim.smoothing import Smoothing
+    from gri.storage.claims import claimed_place
+    from gri.storage.verification import digest_file, write_digest
 
     rules = Rules(
         smoothing=Smoothing(window=window, order=order), spacing=spacing, training_stride=training_stride
     ).checked()
-    with ProgressDisplay() as progress:
+    with claimed_place(out), ProgressDisplay() as progress:
+        digest_file(out).unlink(missing_ok=True)
         made = extract(files, out, rules, site=site, progress=progress)
+        write_digest(out)
     show_tables(
         [scene_table(made), *([rejection_table(made)] if made.rejected.total() else [])],
         table_format,

@@ -48,10 +48,11 @@ def reproduce(
     one_thread()
     from gri.paper.plan import Plan
     from gri.paper.publish import publish
+    from gri.storage.claims import claimed_folder
 
     plan = Plan(target, seeds, test, out, cache, scenes, scenario, tuple(row or ()), quick, processes, finished, ngsim)  # type: ignore[arg-type]
     try:
-        with ProgressDisplay() as progress:
+        with claimed_folder(out), claimed_folder(cache), ProgressDisplay() as progress:
             written = publish(plan, progress)
     except KeyboardInterrupt:
         notice("stopped; finished rows are kept, the same command continues")

@@ -6,8 +6,7 @@ calibrated rows), `made.json` (durations and versions) and `result.json`, which 
 """
 
 import hashlib
-import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, astuple, dataclass
 from pathlib import Path
 from typing import Any
@@ -17,9 +16,12 @@ import torch
 
 from gri.networks.model import ModelConfig
 from gri.paper.rows import Row, Scenario
+from gri.storage.verification import VALUE, is_intact, read_sealed, read_value, write_sealed
+from gri.terminal import notice
 from gri.training.optimisation import LATERAL_WEIGHT
 from gri.training.train import TrainConfig, model_config
 
+FIX = "give the same command again, which does it once more"
 VERSION = 1
 """Version of the results. Raise it when the tests change: every job is then run again."""
 
@@ -56,14 +58,15 @@ class Job:
         return cache / f"{self.name}-{hash_of(_dependencies(self))}"
 
     def is_done(self, cache: Path) -> bool:
-        return (self.folder(cache) / "result.json").is_file()
+        """Whether its result is there and undamaged."""
+        return all(is_intact(self.folder(cache) / name, notice) for name in ("made.json", "result.json"))
 
     def result(self, cache: Path) -> dict[str, Any]:
-        return msgspec.json.decode((self.folder(cache) / "result.json").read_bytes())
+        return read_sealed(self.folder(cache) / "result.json", FIX)
 
     def made(self, cache: Path) -> dict[str, Any]:
         """Seconds that training and tests took, and the versions used."""
-        return msgspec.json.decode((self.folder(cache) / "made.json").read_bytes())
+        return read_sealed(self.folder(cache) / "made.json", FIX)
 
     @property
     def training(self) -> TrainConfig:
@@ -102,15 +105,11 @@ def hash_of(content: Any) -> str:
 def cached(cache: Path, name: str, content: Any, compute: Callable[[], Any]) -> Any:
     """A value that depends on the content alone: read from its file in the cache, or computed and written there."""
     path = cache / f"{name}-{hash_of(content)}.json"
-    if not path.is_file():
-        write_json(path, compute())
-    return msgspec.json.decode(path.read_bytes())
+    if not is_intact(path, notice):
+        write_json(path, {VALUE: compute()})
+    return read_value(path, FIX)
 
 
-def write_json(path: Path, content: Any) -> None:
-    """Write a JSON file that appears whole or not at all. Tensors become lists."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_suffix(f".{os.getpid()}.part")
-    text = msgspec.json.encode(content, enc_hook=lambda tensor: torch.as_tensor(tensor).tolist())
-    part.write_bytes(msgspec.json.format(text, indent=0) + b"\n")
-    os.replace(part, path)
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """Write a sealed JSON file (`gri.storage`). Tensors become lists."""
+    write_sealed(path, content, lambda tensor: torch.as_tensor(tensor).tolist())

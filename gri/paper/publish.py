@@ -19,6 +19,7 @@ from gri.paper.plan import Plan, command, make
 from gri.paper.score_frames import areas, curve_frame, released, score_frame
 from gri.paper.synthetic_measurements import oracle_curve
 from gri.progress import Progress, no_progress
+from gri.storage.whole_files import whole_file, write_whole
 
 
 def publish(plan: Plan, progress: Progress = no_progress) -> list[Path]:
@@ -57,7 +58,7 @@ def _publish(plan: Plan, jobs: Sequence[Job], began: float, progress: Progress) 
         else:
             files = figures.draw(jobs, cache, plan.scenes_folder, curves, plan.out / "figures")
     path = plan.out / f"{target}.json"
-    path.write_text(json.dumps(provenance(plan, jobs, began), indent=1) + "\n")
+    write_whole(path, json.dumps(provenance(plan, jobs, began), indent=1) + "\n")
     return [*files, path]
 
 
@@ -76,7 +77,7 @@ def _publish_constants(plan: Plan, began: float, progress: Progress) -> list[Pat
     made = {"command": command(plan), "commit": commit(), "cpu_seconds": round(float(frame["cpu_seconds"].sum()), 1)}
     made |= {"this_call_seconds": round(time.monotonic() - began, 1), "torch": str(torch.__version__)}
     path = plan.out / "constants.json"
-    path.write_text(json.dumps(made | {"gri-cosim": version("gri-cosim")}, indent=1) + "\n")
+    write_whole(path, json.dumps(made | {"gri-cosim": version("gri-cosim")}, indent=1) + "\n")
     return [*files, path]
 
 
@@ -93,13 +94,14 @@ def oracle_curves(jobs: Sequence[Job], cache: Path, progress: Progress) -> dict[
 
 def write_tables(plan: Plan, frames: dict[str, pd.DataFrame], page: str) -> list[Path]:
     """Each frame as CSV and Parquet, and a Markdown page."""
-    plan.out.mkdir(parents=True, exist_ok=True)
     files = [plan.out / f"{plan.target}.md"]
-    files[0].write_text(page, encoding="utf-8")
+    write_whole(files[0], page)
     for name, frame in frames.items():
         files += [plan.out / f"{name}.csv", plan.out / f"{name}.parquet"]
-        frame.to_csv(files[-2], index=False)
-        frame.to_parquet(files[-1], index=False)
+        with whole_file(files[-2]) as part:
+            frame.to_csv(part, index=False)
+        with whole_file(files[-1]) as part:
+            frame.to_parquet(part, index=False)
     return files
 
 
@@ -134,9 +136,10 @@ def commit() -> str:
     """The commit of the source tree, with "+" where files were changed; "unknown" outside of a source tree."""
     here = Path(__file__).parents[1]
     try:
-        head = subprocess.run(["git", "rev-parse", "HEAD"], cwd=here, capture_output=True, text=True, check=True)
+        options: dict[str, Any] = {"cwd": here, "capture_output": True, "text": True, "check": True, "timeout": 60}
+        head = subprocess.run(["git", "rev-parse", "HEAD"], **options)
         state = ["git", "status", "--porcelain", "--untracked-files=no", "--", ".", "../scenarios"]
-        changed = subprocess.run(state, cwd=here, capture_output=True, text=True, check=True)
-    except (OSError, subprocess.CalledProcessError):
+        changed = subprocess.run(state, **options)
+    except (OSError, subprocess.SubprocessError):
         return "unknown"
     return head.stdout.strip() + ("+" if changed.stdout.strip() else "")

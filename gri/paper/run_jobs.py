@@ -13,9 +13,15 @@ import torch
 
 from gri import checkpoint
 from gri.data.store import Splits, scenes_of
+from gri.errors import InputError
 from gri.paper import recorded_car_following, recorded_lane_changes, synthetic_measurements
 from gri.paper.job_cache import Job, write_json
+from gri.storage.verification import set_aside
+from gri.terminal import notice
 from gri.training.train import train
+
+JOB_LIMIT = 7 * 24 * 3600.0
+"""[s] without an end of any training, after which all are ended; the longest take hours."""
 
 
 def run(job: Job, cache: Path, scenes_folder: Path) -> str:
@@ -28,7 +34,7 @@ def run(job: Job, cache: Path, scenes_folder: Path) -> str:
     splits, measure = _prepare(job, model_file, cache, scenes_folder)
     made: dict[str, Any] = {"seconds": None, "cpu_seconds": None}
     if job.config is not None:
-        if not model_file.is_file():
+        if not _is_readable(model_file):
             trained = train(job.config, splits, job.seed)
             checkpoint.save(model_file, trained.model, trained.reward, trained.provenance)
         made = {name: checkpoint.provenance(model_file).get(name) for name in made}
@@ -40,6 +46,18 @@ def run(job: Job, cache: Path, scenes_folder: Path) -> str:
     write_json(folder / "made.json", made | {"torch": str(torch.__version__), "gri-cosim": version("gri-cosim")})
     write_json(folder / "result.json", result)
     return job.name
+
+
+def _is_readable(model_file: Path) -> bool:
+    """Whether a model was trained before. A damaged file is renamed."""
+    if not model_file.is_file():
+        return False
+    try:
+        checkpoint.load(model_file)
+    except InputError as error:
+        notice(f"{str(error).partition(';')[0]}; it is trained again, the old file is {set_aside(model_file)}")
+        return False
+    return True
 
 
 def _prepare(
@@ -79,7 +97,11 @@ def run_in_processes(jobs: Sequence[Job], processes: int, cache: Path, scenes_fo
             while waiting and len(running) < processes:
                 job = waiting.pop(0)
                 running[pool.submit(run, job, cache, scenes_folder)] = job
-            for future in wait(running, return_when=FIRST_COMPLETED).done:
+            done = wait(running, timeout=JOB_LIMIT, return_when=FIRST_COMPLETED).done
+            if not done:
+                names = ", ".join(job.name for job in running.values())
+                raise RuntimeError(f"no training has ended for {JOB_LIMIT / 3600:g} h; waited for {names}")
+            for future in done:
                 future.result()
                 yield running.pop(future)
     finally:

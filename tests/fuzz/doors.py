@@ -44,6 +44,7 @@ from gri.data.scene_file.reading import read, scene_counts
 from gri.errors import InputError
 from gri.resources import shipped
 from gri.training.train import read_train_config
+from tests.fuzz import folders
 
 SECONDS, MEGABYTES = 10.0, 1500.0  # per input
 Mutate = Callable[[random.Random, bytes], bytes]
@@ -443,6 +444,8 @@ DOORS = (
     Door("scene file", ".parquet", _scenes, _read_scenes, (table, *BYTES)),
     Door("recording", ".txt", _recording, _read_recording, (packed, *BYTES)),
     Door("stress options", ".txt", _stress, _stress_options, BYTES),
+    Door("run folder", ".zip", folders.good_run, folders.read_run, folders.inside(BYTES, table)),
+    Door("batch folder", ".zip", folders.good_batch, folders.read_batch, folders.inside(BYTES, table)),
 )
 
 

@@ -143,3 +143,13 @@ def test_the_counterparts_of_perturbed_traffic_are_those_of_the_same_traffic(gro
     first, left = group_statistics.paired_starts(table, "y", LEFT_TO_SUMO)
     assert first["perturbation"].tolist() == left["perturbation"].tolist() == ["nominal"] * 3 + ["wet"] * 3
     assert left["mean_speed"].tolist() == [8.0] * 3 + [4.0] * 3
+
+
+def test_a_start_that_several_runs_recorded_is_paired_once(groups, counterparts):
+    """The runs of both policies recorded the same counterparts; a start counts once, whoever recorded it."""
+    table = pd.concat([groups, counterparts], ignore_index=True)
+    for a, b in (("y", LEFT_TO_SUMO), (LEFT_TO_SUMO, "y")):
+        first, second = group_statistics.paired_starts(table, a, b)
+        assert first["vehicle_0"].tolist() == second["vehicle_0"].tolist() == ["a1", "a2", "a3"]
+    twice = pd.concat([groups, groups[groups["policy"] == "x"]], ignore_index=True)
+    assert len(group_statistics.paired_starts(twice, "x", "y", every_start=True)[0]) == 3

@@ -10,7 +10,10 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from typer.testing import CliRunner
 
+from cosim.batch.execute import Tally
+from cosim.commands.cli import app
 from tests.cosim.commands.conftest import SHORT, cosim, tables
 
 
@@ -176,7 +179,8 @@ def test_two_commands_do_not_share_a_folder(short):
         process.kill()
         process.communicate()
     assert second.returncode == 2
-    assert "another `cosim batch` is running here" in second.stderr
+    assert f"(process {process.pid} on " in second.stderr
+    assert "writes there; wait for it, stop it, or give another --out" in second.stderr
 
 
 @pytest.mark.slow
@@ -185,3 +189,27 @@ def test_ray_writes_the_same_bytes(short):
     done = cosim("batch", "short.yaml", "--executor", "ray", "--workers", "2", "--out", "ray", cwd=short)
     assert done.returncode == 0, done.stderr
     assert tables(short / "ray") == tables(short / "two")
+
+
+def test_fewer_groups_than_asked_for_is_exit_code_3(tmp_path, monkeypatch):
+    """All runs are done; one of the two found 1 of its 2 starts within the time limit."""
+    (tmp_path / "short.yaml").write_text(SHORT)
+    monkeypatch.chdir(tmp_path)
+    found = {"starts": [2, 2, 2, 2]}
+
+    def finished(spec, runs, store, *_, **__):
+        listed = [
+            {"run": run.id, "starts": starts, "asked": 2} for run, starts in zip(runs, found["starts"], strict=True)
+        ]
+        store.folder.mkdir(exist_ok=True)
+        (store.folder / "runs").mkdir(exist_ok=True)
+        store.write_manifest({"batch": {}, "runs": listed})
+        return Tally(len(runs), len(runs), 0)
+
+    monkeypatch.setattr("cosim.batch.execute.execute", finished)
+    monkeypatch.setattr("cosim.process.worker_process.run_in_worker", lambda *_, **__: None)
+    for starts, code in (([2, 2, 2, 2], 0), ([2, 1, 2, 2], 3)):
+        found["starts"] = starts
+        done = CliRunner().invoke(app, ["batch", "short.yaml", "--out", "out"])
+        assert done.exit_code == code
+    assert "1 runs found fewer groups than asked for" in done.stderr

@@ -39,6 +39,13 @@ def test_nobody_is_behind_the_vehicle_ahead_of_it_or_in_the_next_lane():
         assert np.isinf(surrogate_safety.ttc(i, j)).all()
         assert np.isinf(surrogate_safety.time_headway(i, j)).all()
         assert surrogate_safety.drac(i, j).tolist() == [0.0, 0.0]
+        assert np.isinf(surrogate_safety.gap(i, j)).all()
+
+
+def test_the_smallest_gap_is_to_a_vehicle_in_the_path():
+    """1 m behind a vehicle in the next lane, 25 m behind one in the own lane."""
+    found = surrogate_safety.conflicts([track(0.0, 15.0), track(30.0, 10.0), track(6.0, 10.0, d=3.5)], (0,))
+    assert found["min_gap"] == 25.0
 
 
 def test_a_gap_that_opens_is_no_conflict():

@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from cosim.runs.episode_figure import most_eventful, picture
+from cosim.runs.finished_run import write_manifest
 from cosim.runs.run_folder import next_folder, run_folder
 from cosim.runs.run_reading import TABLES, read_tables
 from cosim.runs.run_tables import (
@@ -20,7 +21,6 @@ from cosim.runs.run_tables import (
     labelled,
     manifest,
     steps_table,
-    write_manifest,
     write_tables,
 )
 from cosim.runs.summary import shortest_time, summary, summary_records, summary_table
@@ -104,6 +104,32 @@ def test_groups_say_who_how_and_what_was_believed(tables):
     assert list(tables["groups"].columns) == list(tables["counterparts"].columns)
 
 
+def with_acceleration(at: float, until: float, a: float) -> Episode:
+    """The episode in which vehicle 0 has this acceleration [m/s²] from `at` to `until` [s], both included."""
+    found = episode()
+    state = found.state.copy()
+    when = (found.time >= at - 1e-6) & (found.time <= until + 1e-6)
+    state[when, 0, COLUMNS.index("a")] = a
+    return replace(found, state=state)
+
+
+def test_the_jerk_of_the_take_over_is_not_the_policys():
+    """The acceleration changes at the take-over, from that of SUMO's driver; afterwards the policy keeps it."""
+    [row] = groups_table([with_acceleration(101.0, 103.0, 2.0)], CHAIN).to_dict("records")
+    assert row["jerk_within_3"] == 1.0
+    [later] = groups_table([with_acceleration(101.2, 103.0, 2.0)], CHAIN).to_dict("records")
+    assert later["jerk_within_3"] == pytest.approx(1 - 1 / 20)  # 10 steps of 2 vehicles
+
+
+def test_what_happens_at_the_end_is_the_drives_and_not_the_hand_backs():
+    [row] = groups_table([with_acceleration(103.0, 103.0, -4.0)], CHAIN).to_dict("records")
+    assert (row["brakings_3"], row["brakings_3_after"]) == (1, 0)
+    assert (row["min_acceleration"], row["min_acceleration_after"]) == (-4.0, 0.0)
+    [after] = groups_table([with_acceleration(103.2, 103.2, -4.0)], CHAIN).to_dict("records")
+    assert (after["brakings_3"], after["brakings_3_after"]) == (0, 1)
+    assert (after["min_acceleration"], after["min_acceleration_after"]) == (0.0, -4.0)
+
+
 def test_another_graph_is_not_as_expected():
     other = groups_table([episode(edges={(1, 0): EdgeType.FOLLOW})], CHAIN)
     assert not other["graph_as_expected"].iloc[0]
@@ -120,6 +146,7 @@ def test_tables_survive_the_disk_and_repeat_byte_for_byte(tables, tmp_path):
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
         write_tables(tmp_path / name, tables)
+        write_manifest(tmp_path / name, manifest({"driver": "gri", "seed": 1, "episodes": 1}, {}, tmp_path / name))
     assert (tmp_path / "one/steps.parquet").read_bytes() == (tmp_path / "two/steps.parquet").read_bytes()
     pd.testing.assert_frame_equal(read_tables(tmp_path / "one")["steps"], tables["steps"])
 
@@ -173,6 +200,16 @@ def test_a_run_folder_is_whole_or_absent(tmp_path):
     assert [path.name for path in target.iterdir()] == ["whole.txt"]
     with pytest.raises(InputError, match="exists already"), run_folder(target):
         pass
+
+
+def test_a_run_folder_belongs_to_one_command(tmp_path):
+    target = tmp_path / "run"
+    with run_folder(target) as folder:
+        with pytest.raises(InputError, match="writes there"), run_folder(target):
+            pass
+        assert next_folder(tmp_path, "run").name == "run-2"
+        (folder / "whole.txt").write_text("whole")
+    assert [str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*")] == ["run", "run/whole.txt"]
 
 
 def test_next_folder_never_overwrites(tmp_path):

@@ -7,7 +7,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from cosim.runs.finished_run import write_manifest
 from cosim.runs.road_view import RoadView, road_view
+from cosim.runs.run_tables import manifest
 from cosim.show.episode_view import EpisodeView, episode_view
 from cosim.spec.loading import load_scenario
 from cosim.world.episode import COLUMNS
@@ -68,4 +70,5 @@ def run_folder(tables, tmp_path) -> Path:
     around = pd.concat([own.assign(vehicle="member", length=5.0, width=1.8), beside])
     columns = ["episode", "driver", "counterpart", "time", "vehicle", *COLUMNS, "length", "width"]
     around[columns].to_parquet(tmp_path / "surroundings.parquet", index=False)
+    write_manifest(tmp_path, manifest({"driver": "gri", "seed": 1, "episodes": 1}, {}, tmp_path))
     return tmp_path

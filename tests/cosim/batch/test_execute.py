@@ -1,0 +1,107 @@
+"""Attempts at the runs of a batch: how many, for which failures, and what is recorded; no simulation."""
+
+import json
+from collections import Counter, deque
+from pathlib import Path
+
+import pytest
+
+from cosim.batch.execute import Tally, execute
+from cosim.batch.run_matrix import expand, load_batch
+from cosim.batch.store import BatchStore
+from cosim.process.task import Task, TaskResult
+from tests.cosim.runs.finished import finished_run, flip
+
+TWO_RUNS = "scenarios: [us101_car_following]\npolicies: {idm: {kind: idm}}\nseeds: [1, 2]\nretries: 2\n"
+
+
+class Batch:
+    """A batch of two runs in a folder, whose attempts end as `ends` says: the kinds of one run after the other."""
+
+    def __init__(self, folder: Path) -> None:
+        (folder / "two.yaml").write_text(TWO_RUNS)
+        self.batch, self.file = load_batch(str(folder / "two.yaml"))
+        self.runs = expand(self.batch, self.file)
+        self.store = BatchStore(folder / "out")
+        self.attempts: Counter[str] = Counter()
+        self.said: list[str] = []
+        self.folders: list[Path] = []
+
+    def go(self, ends: dict[str, list[str]], *, retry: bool = False) -> Tally:
+        self.attempts.clear()
+
+        def executor(queue: deque[Task], limit: float):
+            while queue:
+                task = queue.popleft()
+                assert not any(folder.exists() for folder in self.folders), "of an attempt that has ended"
+                self.folders.append(task.folder)
+                kind = ends[task.name][self.attempts[task.name]]
+                self.attempts[task.name] += 1
+                if kind == "done":
+                    finished_run(task.folder)
+                else:
+                    task.folder.mkdir()
+                if kind == "stopped":
+                    raise KeyboardInterrupt
+                yield TaskResult(task.name, task.folder, kind, "" if kind == "done" else f"it {kind}")  # type: ignore[arg-type]
+
+        def ignore(tally: Tally) -> None:
+            pass
+
+        return execute(
+            self.batch, self.runs, self.store, executor, ignore, file=self.file, retry=retry, warn=self.said.append
+        )
+
+
+@pytest.fixture
+def two(tmp_path: Path) -> Batch:
+    return Batch(tmp_path)
+
+
+def test_a_run_is_tried_again_as_often_as_the_file_says(two):
+    a, b = (run.id for run in two.runs)
+    tally = two.go({a: ["died", "timeout", "error", "done"], b: ["died", "error", "done"]})
+    assert two.attempts == {a: 3, b: 3}  # the first attempt and two more
+    assert (tally.done, tally.failed) == (1, 1)
+    assert [attempt["kind"] for attempt in two.store.failures()[a]["attempts"]] == ["died", "timeout", "error"]
+    states = {entry["run"]: entry["state"] for entry in two.store.manifest()["runs"]}
+    assert states == {a: "failed", b: "done"}
+    log = [json.loads(line) for line in (two.store.folder / "log.jsonl").read_text().splitlines()]
+    assert [entry["attempt"] for entry in log if entry["run"] == a] == [1, 2, 3]
+
+
+def test_bad_input_is_tried_once(two):
+    a, b = (run.id for run in two.runs)
+    two.go({a: ["input"], b: ["done"]})
+    assert two.attempts == {a: 1, b: 1}
+
+
+def test_what_has_ended_is_not_done_again_unless_it_is_asked_for(two):
+    a, b = (run.id for run in two.runs)
+    two.go({a: ["input"], b: ["done"]})
+    two.go({})
+    assert not two.attempts
+    assert two.go({a: ["done"]}, retry=True).done == 2
+    assert two.attempts == {a: 1}
+    assert not two.store.failures()
+
+
+def test_a_damaged_run_is_done_again_and_said(two):
+    a, b = (run.id for run in two.runs)
+    two.go({a: ["done"], b: ["done"]})
+    before = (two.store.run_folder(a) / "groups.parquet").read_bytes()
+    flip(two.store.run_folder(a) / "groups.parquet", 5000)
+    assert two.go({a: ["done"]}).done == 2
+    assert two.attempts == {a: 1}
+    assert len(two.said) == 1
+    assert "is done again" in two.said[0]
+    assert (two.store.run_folder(a) / "groups.parquet").read_bytes() == before
+
+
+def test_every_attempt_has_a_folder_of_its_own_and_none_is_left(two):
+    a, b = (run.id for run in two.runs)
+    two.go({a: ["died", "died", "done"], b: ["input"]})
+    assert len(set(two.folders)) == 4
+    with pytest.raises(KeyboardInterrupt):
+        two.go({b: ["stopped"]}, retry=True)
+    assert [path.name for path in (two.store.folder / "runs").iterdir()] == [a]

@@ -1,0 +1,75 @@
+"""A folder or a place belongs to one process at a time."""
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from gri.errors import InputError
+from gri.storage.claims import claimed_folder, claimed_place, is_claimed
+
+HOLD = """
+import sys, time
+from pathlib import Path
+from gri.storage.claims import claimed_folder
+with claimed_folder(Path(sys.argv[1])):
+    print("held", flush=True)
+    time.sleep(60)
+"""
+
+
+@pytest.mark.parametrize("claim", [claimed_folder, claimed_place])
+def test_two_claims_at_once_are_refused_in_one_line(tmp_path, claim):
+    target = tmp_path / "run"
+    with (
+        claim(target),
+        pytest.raises(InputError, match=rf"run: `.*` \(process {os.getpid()} on .*, since 2.*\+00:00\) writes there"),
+        claim(target),
+    ):
+        pass
+    with claim(target):  # free again
+        pass
+    assert [path.name for path in tmp_path.rglob("*") if path.is_file()] == []
+
+
+def test_a_place_is_claimed_only_meanwhile(tmp_path):
+    assert not is_claimed(tmp_path / "run")
+    with claimed_place(tmp_path / "run"):
+        assert is_claimed(tmp_path / "run")
+        assert not is_claimed(tmp_path / "run-2")
+    assert not is_claimed(tmp_path / "run")
+
+
+def test_the_claim_of_a_killed_process_is_none(tmp_path):
+    """Its file stays and names a process; the system has given the lock back."""
+    command = [sys.executable, "-c", HOLD, str(tmp_path / "run")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as holder:
+        assert holder.stdout is not None
+        assert holder.stdout.readline() == "held\n"
+        with pytest.raises(InputError, match=f"process {holder.pid} on"), claimed_folder(tmp_path / "run"):
+            pass
+        (tmp_path / "run/.x.1-abc.part").mkdir()
+        holder.send_signal(signal.SIGKILL)
+        holder.wait()
+    assert json.loads((tmp_path / "run/.lock").read_text())["process"] == holder.pid
+    with claimed_folder(tmp_path / "run"):
+        assert os.listdir(tmp_path / "run") == [".lock"]
+    assert os.listdir(tmp_path / "run") == []
+
+
+def test_a_claim_without_a_readable_record_still_holds(tmp_path):
+    with claimed_folder(tmp_path):
+        (tmp_path / ".lock").write_bytes(b"\xff")
+        with pytest.raises(InputError, match="another command writes there"), claimed_folder(tmp_path):
+            pass
+
+
+def test_where_nothing_can_be_written_nothing_can_be_claimed(tmp_path):
+    (tmp_path / "file").touch()
+    for claim in (claimed_folder, claimed_place):
+        with pytest.raises(InputError, match=re.escape(f"cannot write to {tmp_path}/file/run: ")):
+            claim(tmp_path / "file/run").__enter__()

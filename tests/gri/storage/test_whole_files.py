@@ -1,0 +1,55 @@
+"""Files and folders that appear whole or not at all."""
+
+import os
+
+import pytest
+
+from gri.storage.whole_files import part_beside, publish, sweep, whole_file, write_whole
+
+
+def test_a_file_appears_whole_or_not_at_all(tmp_path):
+    path = tmp_path / "a.txt"
+    write_whole(path, "früher")
+    with pytest.raises(ZeroDivisionError), whole_file(path) as part:  # noqa: PT012
+        part.write_text("half")
+        raise ZeroDivisionError
+    assert path.read_text(encoding="utf-8") == "früher"
+    assert os.listdir(tmp_path) == ["a.txt"]
+
+
+def test_files_and_their_folder_are_on_the_disk_before_they_appear(tmp_path, monkeypatch):
+    order = []
+    monkeypatch.setattr(os, "fsync", lambda handle: order.append(os.readlink(f"/proc/self/fd/{handle}")))
+    replace = os.replace
+    monkeypatch.setattr(os, "replace", lambda *where: (order.append("moved"), replace(*where)))
+    part = part_beside(tmp_path / "run")
+    part.mkdir()
+    (part / "table").write_text("rows")
+    publish(part, tmp_path / "run")
+    assert order == [str(part / "table"), str(part), "moved", str(tmp_path)]
+
+
+def test_a_folder_never_replaces_one_with_content(tmp_path):
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "table").write_text(name)
+    with pytest.raises(OSError, match="not empty"):
+        publish(tmp_path / "one", tmp_path / "two")
+    assert (tmp_path / "two/table").read_text() == "two"
+
+
+def test_only_unfinished_files_are_swept(tmp_path):
+    kept = ["run", "x.part", ".hidden", part_beside(tmp_path / "other").name]
+    for name in (*kept, part_beside(tmp_path / "run").name):
+        (tmp_path / name).touch()
+    part_beside(tmp_path / "run").mkdir()
+    sweep(tmp_path, "run")
+    assert sorted(os.listdir(tmp_path)) == sorted(kept)
+    sweep(tmp_path)
+    assert sorted(os.listdir(tmp_path)) == sorted(kept[:3])
+
+
+def test_names_as_long_as_the_system_allows_can_be_written(tmp_path):
+    path = tmp_path / ("ü" * 127)
+    write_whole(path, b"x")
+    assert path.read_bytes() == b"x"
