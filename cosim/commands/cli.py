@@ -20,6 +20,7 @@ from cosim.commands.arguments import (
 )
 from cosim.commands.batch import batch, results
 from cosim.commands.check import check
+from cosim.commands.cutin_grid import cutin_grid
 from cosim.commands.new import new
 from cosim.commands.realism import realism
 from cosim.commands.scenes import scenes
@@ -82,7 +83,7 @@ def run(
     ] = None,
     seed: SeedOption = None,
     episodes: Annotated[int | None, typer.Option(help="Number of episodes to use instead of the scenario's.")] = None,
-    recording: Annotated[Path | None, typer.Option(help="The NGSIM file that the scenario replays.")] = None,
+    recording: Annotated[Path | None, typer.Option(help="The recording that the scenario replays.")] = None,
     out: Annotated[Path | None, typer.Option(help="Run folder to write; default: a new one in runs/.")] = None,
     settings: SetOption = None,
     max_work: MaxWorkOption = None,
@@ -94,13 +95,22 @@ def run(
     A policy drives every group of vehicles for the horizon of the scenario. The
     table compares it with the same groups left to SUMO. The exit code is 3 if the
     traffic had fewer groups than asked for.
+
+    In a scenario with a `share`, policies drive this share of all vehicles from
+    entry to exit instead, and the table shows the traffic.
     """
     from cosim.spec.input_files import find_net
     from cosim.spec.loading import load_scenario
 
     if policy and baseline:
         raise InputError("--policy and --baseline: both name what drives the groups; give one of them")
-    find_net(load_scenario(scenario, max_work=max_work, settings=settings or ()).net)  # before torch is imported
+    chosen = load_scenario(scenario, max_work=max_work, settings=settings or ())
+    find_net(chosen.net)  # before torch is imported
+    if chosen.has_shares:
+        from cosim.commands.share import run_share
+
+        for_groups = {"--policy": policy, "--baseline": baseline, "--episodes": episodes, "--recording": recording}
+        return run_share(scenario, seed, out, settings or (), max_work, allow_code, table_format, for_groups)
     from cosim.perturb.effects import shown_effects
     from cosim.runs.run import run as run_scenario
     from cosim.runs.summary import summary_table
@@ -140,7 +150,22 @@ def run(
         raise typer.Exit(FEWER_THAN_ASKED)
 
 
-for _command in (new, check, report, explain, render, gui, traffic, calibrate, realism, scenes, stress, batch, results):
+for _command in (
+    new,
+    check,
+    report,
+    explain,
+    render,
+    gui,
+    traffic,
+    calibrate,
+    realism,
+    scenes,
+    stress,
+    cutin_grid,
+    batch,
+    results,
+):
     app.command()(_command)
 
 

@@ -18,7 +18,8 @@ if TYPE_CHECKING:
 def realism(
     subject: Annotated[str, typer.Argument(metavar="SCENARIO|RUN", help="A scenario, or a run folder.")],
     against: Annotated[
-        Path | None, typer.Option(help="The recording: an NGSIM file, a scene file, or a Parquet table of samples.")
+        Path | None,
+        typer.Option(help="A recording of any layout (docs/recordings.md), a scene file, or a table of samples."),
     ] = None,
     test: Annotated[
         Path | None, typer.Option(help="A recording to score the traffic with, instead of --against.")

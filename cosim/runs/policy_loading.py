@@ -66,6 +66,8 @@ def policy_of(scenario: spec.Scenario) -> Policy | None:
             policy = model
         case spec.UserPolicy() as own:
             policy = own_policy(own, period)
+        case spec.SumoModel(model=name):
+            raise InputError(f"policy: got SUMO's model {name}, which drives no groups; add a share to the scenario")
     check_fit(policy, scenario)
     return policy
 

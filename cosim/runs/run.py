@@ -154,7 +154,7 @@ def run(
             YAML file would hold; or an object that has the attributes of `gri.Policy`.
         seed: replaces the scenario's seed.
         episodes: replaces the scenario's number of episodes.
-        recording: the NGSIM file to replay, for scenarios with a recorded background.
+        recording: the recording to replay, for scenarios with a recorded background.
         overrides: other top-level fields of the scenario to replace, such as `{"horizon": 4.0}`.
         settings: changes of single fields at any depth, such as `["group.max_gap=20"]`; values are written as in YAML.
         folder: where to write the run; by default a new folder in `runs/`.
@@ -185,6 +185,8 @@ def run(
     chosen = override(chosen, {name: value for name, value in changes.items() if value is not None})
     if recording is not None:
         chosen = with_recording(chosen, Path(recording))
+    if chosen.has_shares:
+        raise InputError("share: got a scenario with a share of the traffic and no groups; call cosim.run_traffic")
     name = chosen.net if isinstance(scenario, Scenario) else Path(scenario).stem
     driver = re.sub(r"[^\w.-]+", "-", policy_name(chosen.policy) if own is None else own_name(own))
     place = Path(folder) if folder else next_folder(Path("runs"), f"{name}-{driver}-seed{chosen.seed}")

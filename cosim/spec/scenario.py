@@ -15,11 +15,13 @@ from cosim.spec.demand import (
     Distance,
     Duration,
     Gap,
+    Name,
     Place,
     Position,
     PositiveDuration,
     PositiveGap,
     PositivePeriod,
+    Share,
     Spec,
     Speed,
     SpeedLimit,
@@ -28,6 +30,8 @@ from cosim.spec.demand import (
     Traffic,
 )
 from cosim.spec.perturbations import CHANGES_DEMAND, Perturbation
+from cosim.spec.shares import check_shares
+from cosim.spec.sumo_models import SumoModel
 from cosim.spec.work import Work, entering, refuse_too_much
 
 AFTERMATH = 10.0  # [s] after the hand-back of a group in which its contacts still count
@@ -132,11 +136,12 @@ class SimulatedTraffic(Spec, frozen=True, kw_only=True, tag_field="kind", tag="s
 
 
 class Replay(Spec, frozen=True, kw_only=True, tag_field="kind", tag="replay"):
-    """The vehicles of an NGSIM file move as recorded; only routes and drivers of `traffic` are used.
+    """The vehicles of a recording move as recorded; only routes and drivers of `traffic` are used.
 
-    s = 0 of the road is at Local_Y = −`entry` [m]. Its reference line is at Local_X = `lane_1` [m], the centre of the
-    leftmost lane. `flows` maps a lane (NGSIM's number) to a flow: a vehicle that is first recorded in this lane gets
-    the route and class of the flow, any other vehicle those of the first flow. SUMO uses them after the hand-back.
+    Any layout of docs/recordings.md will do. s = 0 of the road is at s_m = −`entry` [m] (NGSIM: Local_Y). Its reference
+    line is at d_m = −`lane_1` [m] (NGSIM: Local_X), the centre of the leftmost lane. `flows` maps a lane's number to a
+    flow: a vehicle that is first recorded in this lane gets the route and class of the flow, any other vehicle those of
+    the first flow. SUMO uses them after the hand-back.
     """
 
     recording: Annotated[str, Meta(max_length=1000)] = ""
@@ -151,10 +156,14 @@ Background = SimulatedTraffic | Replay
 class Inferred(Spec, frozen=True, kw_only=True, tag_field="source", tag="inferred"):
     """The graph that the policy infers from its observations.
 
-    `when_unknown` applies to later inferences (`reinfer_s`) from scenes that the model does not know: `use` the graph
-    all the same, or `keep` the last one.
+    Later inferences (`reinfer_s`) are combined with the last graph by a hidden Markov chain, in which a relation
+    changes `switching_rate` times per second: a relation that is not visible for a while is not over. `smoothing:
+    false` takes every inference for itself. `when_unknown` applies to later inferences from scenes that the model does
+    not know: `use` the graph all the same, or `keep` the last one.
     """
 
+    smoothing: bool = True
+    switching_rate: Annotated[float, Meta(ge=0, le=100)] = 0.02
     when_unknown: Literal["use", "keep"] = "use"
 
 
@@ -177,7 +186,14 @@ class Enforced(Spec, frozen=True, kw_only=True, tag_field="source", tag="enforce
 
 
 GraphSource = Inferred | GroundTruth | Enforced
-Driver = TrainedPolicy | Idm | ConstantVelocity | LeftToSumo | UserPolicy
+Driver = TrainedPolicy | Idm | ConstantVelocity | LeftToSumo | UserPolicy | SumoModel
+
+
+class PolicyShare(Spec, frozen=True, kw_only=True):
+    """A policy and the share of the entering vehicles that it drives."""
+
+    policy: Driver
+    share: Share
 
 
 def tag_of(choice: GroupRule | Driver | Perturbation) -> str:
@@ -202,6 +218,9 @@ class Scenario(Spec, frozen=True, kw_only=True):
     With `surroundings` the run has a table of the vehicles around the groups. A batch leaves it out unless its
     `overrides` say true. A run is refused if it may need more than `max_work` times the usual limits of steps, vehicles
     and memory.
+
+    With `share` or `shares` there are no groups: `policy` drives this share of all entering vehicles, from entry to
+    exit, and each of the named `shares` another one, for `time_limit` after the warm-up (docs/penetration.md).
     """
 
     description: Text = ""
@@ -209,7 +228,7 @@ class Scenario(Spec, frozen=True, kw_only=True):
     road: Road
     traffic: Traffic
     background: Background = field(default_factory=SimulatedTraffic)
-    group: GroupRule
+    group: GroupRule = field(default_factory=CarFollowing)
     policy: Driver
     graph: GraphSource = field(default_factory=Inferred)
     reinfer_s: Duration = 0.0
@@ -226,6 +245,8 @@ class Scenario(Spec, frozen=True, kw_only=True):
     groups_at_once: Annotated[int, Meta(ge=1, le=1000)] = 6
     time_limit: PositivePeriod = 3600.0
     surroundings: bool = True
+    share: Share | None = None
+    shares: Annotated[dict[Name, PolicyShare], Meta(max_length=20)] = field(default_factory=dict)
     max_work: Annotated[float, Meta(gt=0, le=10_000)] = MAX_WORK
 
     def __post_init__(self) -> None:
@@ -233,6 +254,7 @@ class Scenario(Spec, frozen=True, kw_only=True):
             raise ValueError(f"driven is {list(self.driven)}, expected each role once")
         if self.traffic.has_own_files:
             self._check_own_files()
+        check_shares(self, isinstance(self.background, Replay))
         for name in ("policy_period", "history", "horizon", "watch", "rest", "reinfer_s"):
             steps = getattr(self, name) / self.step
             if abs(steps - round(steps)) > 1e-6:
@@ -259,6 +281,11 @@ class Scenario(Spec, frozen=True, kw_only=True):
                 f"perturbations has {kinds[0]}, which changes the demand, and traffic has SUMO files of its own;"
                 " expected traffic with vehicles and flows, or other perturbations"
             )
+
+    @property
+    def has_shares(self) -> bool:
+        """Whether policies drive shares of the traffic instead of groups."""
+        return self.share is not None or bool(self.shares)
 
     def steps(self, duration: float) -> int:
         """A duration [s] in simulation steps."""

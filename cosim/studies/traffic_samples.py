@@ -6,6 +6,7 @@ unknown). `with_headways` adds headways and time gaps to the vehicle ahead.
 """
 
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import pandas as pd
@@ -14,8 +15,8 @@ import pyarrow.parquet as pq
 from cosim.runs.run_reading import read_tables
 from gri.data.ngsim.columns import FRAME
 from gri.data.ngsim.defects import clean
-from gri.data.ngsim.recordings import recordings
 from gri.data.ngsim.smoothing import Motion, Smoothing, smoothed
+from gri.data.recordings.reading import recordings_of
 from gri.data.scene_file.schema import KEY
 from gri.errors import InputError, guarded_reading
 
@@ -43,15 +44,16 @@ def with_headways(samples: pd.DataFrame) -> pd.DataFrame:
 
 
 def recorded_samples(path: Path) -> pd.DataFrame:
-    """Samples of a trajectory file: NGSIM's columns, a scene file, or a Parquet table with `COLUMNS`.
+    """Samples of a recording of any layout (docs/recordings.md), a scene file, or a Parquet table with `COLUMNS`.
 
     Raises `InputError` if the file is none of these, or too short.
     """
-    if path.suffix == ".parquet":
-        found = _samples_of_scenes(path) if KEY in (_metadata(path) or {}) else _samples_of_table(path)
-    else:
-        parts = [_samples_of_motion(r.name, smoothed(clean(r)[0], SMOOTHING)) for r in recordings(path)]
+    kind = _kind_of_parquet(path) if path.suffix == ".parquet" else "recording"
+    if kind == "recording":
+        parts = [_samples_of_motion(r.name, smoothed(clean(r)[0], SMOOTHING)) for r in recordings_of(path)]
         found = pd.concat(parts, ignore_index=True)
+    else:
+        found = _samples_of_scenes(path) if kind == "scenes" else _samples_of_table(path)
     if found.empty:
         raise InputError(
             f"{path}: no vehicle is recorded for {SMOOTHING.window * FRAME:g} s or longer; give a longer file"
@@ -124,8 +126,10 @@ def _samples_of_table(path: Path) -> pd.DataFrame:
     return table[list(COLUMNS)]
 
 
-def _metadata(path: Path) -> dict[bytes, bytes] | None:
-    try:
-        return pq.read_schema(path).metadata
-    except Exception as error:
-        raise InputError(f"{path}: not a readable Parquet file ({str(error).splitlines()[0]})") from None
+def _kind_of_parquet(path: Path) -> Literal["scenes", "samples", "recording"]:
+    """What a Parquet file holds. Raises `InputError` if it cannot be read."""
+    with guarded_reading(path, "Parquet file", "make it again"):
+        schema = pq.read_schema(path)
+    if KEY in (schema.metadata or {}):
+        return "scenes"
+    return "samples" if {"source", "x", "v"} <= set(schema.names) else "recording"

@@ -21,13 +21,14 @@ from cosim.sumo import Sumo
 from cosim.world.road_frame import RoadFrame
 from gri.data.ngsim.columns import FRAME
 from gri.data.ngsim.defects import clean
-from gri.data.ngsim.recordings import recordings
 from gri.data.ngsim.smoothing import Motion, Smoothing, smoothed
+from gri.data.recordings.reading import recordings_of
+from gri.data.recordings.table import CLASSES
 from gri.errors import InputError
 
 PAUSE = 2.0  # [s] between two recordings
 MOVING = 1.0  # [m/s], below which a direction of travel cannot be told from noise
-TRUCK_CLASS = 3  # v_Class in NGSIM's files
+TRUCKS = (CLASSES["truck"], CLASSES["bus"])
 
 
 @dataclass(frozen=True)
@@ -39,7 +40,7 @@ class RecordedTrack:
 
     name: str
     lane: int
-    """NGSIM's number of the lane in which the vehicle appears first."""
+    """Number of the lane in which the vehicle appears first."""
     truck: bool
     length: float
     width: float
@@ -69,14 +70,14 @@ def read_tracks(background: Replay, step: float) -> tuple[RecordedTrack, ...]:
     path = recording_path(background)
     found: list[RecordedTrack] = []
     begin = step
-    for recording in recordings(path):
+    for recording in recordings_of(path):
         motion = smoothed(clean(recording)[0], Smoothing(every=1))
         if not len(motion):
             continue
         if np.ptp(motion.y) == 0 or not (motion.length > 0).all():
             raise InputError(
-                f"{path}: has no lateral positions (Local_X) or no sizes (v_Length), so that no vehicle can "
-                "be placed on the road; give a recording that has them"
+                f"{path}: has no lateral positions or no sizes of vehicles, so that no vehicle can be placed "
+                "on the road; give a recording that has them"
             )
         found += _tracks(recording.name, motion, background, step, begin)
         begin += float(np.ptp(motion.step)) * FRAME + PAUSE
@@ -97,7 +98,7 @@ def _tracks(name: str, motion: Motion, background: Replay, step: float, begin: f
         yield RecordedTrack(
             name=f"{name}/{motion.vehicle[start]}.{motion.track[start]}",
             lane=int(motion.lane[start]),
-            truck=bool(motion.kind[start] == TRUCK_CLASS),
+            truck=int(motion.kind[start]) in TRUCKS,
             length=float(motion.length[start]),
             width=float(motion.width[start]),
             first_step=int(first),

@@ -16,7 +16,7 @@ from gri.commands.ngsim import (
     scene_table,
 )
 from gri.table import Table
-from gri.terminal import FormatOption, ProgressDisplay, finite, notice, show_tables
+from gri.terminal import FormatOption, ProgressDisplay, finite, next_command, notice, say, show_tables
 
 if TYPE_CHECKING:
     from gri.data.recordings.parts import ReadingOptions
@@ -135,6 +135,32 @@ def make(
         if split == "all-test"
         else f"gri train ngsim_car_following --scene-file {out}",
     )
+
+
+@app.command()
+def tidy(
+    files: Annotated[list[Path], typer.Argument(metavar="FILE", help="Recordings of any layout.")],
+    out: Annotated[Path, typer.Option(help="File to write: Parquet, or text if it ends in .csv.")],
+    layout: LayoutOption = None,
+    columns: MapOption = None,
+    axis: AxisOption = None,
+    lane_edges: EdgesOption = None,
+    point: PointOption = None,
+    types: TypesOption = None,
+) -> None:
+    """Write recordings as a tidy table.
+
+    It can be read without options, by these commands, cosim realism and replay.
+    """
+    from gri.data.recordings.scenes import write_tidy
+
+    options = _options(layout, columns, None, axis, lane_edges, point, types)
+    with ProgressDisplay() as progress:
+        *notes, written = write_tidy(files, out, options, progress)
+    for note in notes:
+        notice(f"note: {note}")
+    say(written)
+    next_command(f"cosim realism us101_car_following --against {out}")
 
 
 def _options(

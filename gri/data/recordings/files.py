@@ -18,6 +18,8 @@ from gri.errors import InputError, guarded_reading
 
 RATIO, SMALL = 200, 64 * 2**20  # unpacked bytes per byte of a file, and what is allowed in any case; text has 3 to 20
 MOST_FILES = 10_000
+DATA = re.compile(r"\.(csv|txt|tsv|dat|json|xml|parquet)(\.gz)?$", re.IGNORECASE)
+"""Files of folders and archives that are looked at; data sets have pictures and papers beside them."""
 JUNK = re.compile(r"(^|/)(__MACOSX/|\.[^/]*$|Thumbs\.db$|desktop\.ini$)", re.IGNORECASE)
 FIX = "save the file again, or download it again"
 
@@ -50,9 +52,12 @@ class Member:
         return Member(self.path.with_name(name))
 
     @contextmanager
-    def open(self) -> Iterator[BinaryIO]:
-        """The unpacked bytes. Errors: `InputError` if they cannot be read, or are far more than the file has."""
-        with guarded_reading(str(self), "file", FIX), ExitStack() as stack:
+    def open(self, what: str = "file", fix: str = FIX) -> Iterator[BinaryIO]:
+        """The unpacked bytes; the boundary around whoever reads them (`guarded_reading`).
+
+        Errors: `InputError` that says `what` was wanted if they cannot be read, or are far more than the file has.
+        """
+        with guarded_reading(str(self), what, fix), ExitStack() as stack:
             size = self.path.stat().st_size
             raw = cast(Any, stack.enter_context(self.path.open("rb")))
             if self.inside:
@@ -64,9 +69,9 @@ class Member:
             yield cast(BinaryIO, io.BufferedReader(_Bounded(stream, size, str(self)), 1 << 20))
 
     @contextmanager
-    def open_whole(self) -> Iterator[BinaryIO]:
-        """The unpacked bytes in memory, for formats that are read from their end."""
-        with self.open() as stream:
+    def open_whole(self, what: str, fix: str = FIX) -> Iterator[BinaryIO]:
+        """The unpacked bytes in memory, for formats that are read from their end (`open`)."""
+        with self.open(what, fix) as stream:
             yield io.BytesIO(stream.read())
 
     def exists(self) -> bool:
@@ -95,6 +100,10 @@ class _Bounded(io.RawIOBase):
         return len(part)
 
 
+def _is_data(name: str) -> bool:
+    return bool(DATA.search(name)) and not JUNK.search(name)
+
+
 def _begins_as_zip(path: Path) -> bool:
     with path.open("rb") as file:
         return file.read(4) == b"PK\x03\x04"
@@ -107,17 +116,17 @@ def members(path: Path) -> list[Member]:
     """
     if path.is_dir():
         inside = (p for p in sorted(path.rglob("*")) if p.is_file())
-        found = [Member(p) for p in inside if not JUNK.search(p.relative_to(path).as_posix())]
+        found = [Member(p) for p in inside if _is_data(p.relative_to(path).as_posix())]
     elif not path.is_file():
         raise InputError(f"{path}: no such file or folder; give a recording")
     elif _begins_as_zip(path):
         with guarded_reading(path, "zip file", FIX), zipfile.ZipFile(path) as archive:
             names = [info.filename for info in archive.infolist() if not info.is_dir()]
-        found = [Member(path, name) for name in sorted(names) if not JUNK.search(name)]
+        found = [Member(path, name) for name in sorted(names) if _is_data(name)]
     else:
         found = [Member(path)]
     if not found or len(found) > MOST_FILES:
-        raise InputError(f"{path}: got {len(found)} files in it, wanted 1 to {MOST_FILES}; give a recording")
+        raise InputError(f"{path}: got {len(found)} files of data in it, wanted 1 to {MOST_FILES}; give a recording")
     return found
 
 

@@ -16,7 +16,7 @@ from gri.data.recordings.files import Member
 from gri.data.recordings.names import plain
 from gri.data.recordings.parts import Part, ReadingOptions
 from gri.data.recordings.text_tables import dialect
-from gri.errors import InputError, guarded_reading
+from gri.errors import InputError
 
 Read = Callable[[Sequence[Member], ReadingOptions, list[str]], Iterator[Part]]
 
@@ -82,10 +82,10 @@ def columns_of(member: Member) -> tuple[str, ...]:
     with member.open() as stream:
         start = stream.read(4096)
     if start[:4] == b"PAR1":
-        with guarded_reading(str(member), "Parquet file", "write it again"), member.open_whole() as stream:
+        with member.open_whole("Parquet file", "write it again") as stream:
             return tuple(pq.read_schema(stream).names)
     text = start.lstrip(b"\xef\xbb\xbf \t\r\n")
-    if text[:1] in (b"[", b"{"):
+    if text[:1] == b"[" or (text[:1] == b"{" and b'"x_position"' in start):
         return ("{json}",)
     if text[:1] == b"<":
         return ("timestep_time", "vehicle_id") if b"<fcd-export" in start else ("<xml>",)

@@ -14,7 +14,7 @@ from zlib import crc32
 import numpy as np
 import pandas as pd
 
-from gri.data.ngsim.columns import FOOT
+from gri.data.ngsim.columns import FOOT, FRAME
 from gri.data.ngsim.recordings import ROW_TYPE, Recording, RecordingStore, store_recordings
 from gri.data.recordings import lanes
 from gri.data.recordings.clock import with_frames
@@ -223,3 +223,25 @@ def as_recording(rows: pd.DataFrame, site: str, label: str, where: str, notes: l
     for name, column in of_field.items():
         found[name] = rows[column].fillna(0.0).to_numpy() / FOOT
     return Recording(site, clock_of(label), found, label)
+
+
+def tidy_table(recording: Recording) -> pd.DataFrame:
+    """A recording as a tidy table; scenes of it are those of the recording, to the last bit."""
+    rows = recording.rows
+    names = {code: name for name, code in CLASSES.items()}
+    metres = {name: rows[name].astype(float) * FOOT for name in ("x", "y", "speed", "acceleration", "length", "width")}
+    return pd.DataFrame(
+        {
+            "recording": recording.label or str(recording.clock),
+            "time_s": (rows["frame"] * FRAME).round(1),
+            "vehicle_id": rows["vehicle"].astype(int),
+            "lane": rows["lane"].astype(int),
+            "s_m": metres["y"],
+            "d_m": -metres["x"] if np.ptp(rows["x"]) > 0 else np.nan,
+            "speed_mps": metres["speed"],
+            "acceleration_mps2": metres["acceleration"],
+            "length_m": metres["length"],
+            "width_m": metres["width"],
+            "class": pd.Series(rows["kind"]).map(names).fillna("unknown"),
+        }
+    )

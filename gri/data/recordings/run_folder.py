@@ -10,7 +10,7 @@ import pandas as pd
 
 from gri.data.recordings.files import Member
 from gri.data.recordings.parts import Part, ReadingOptions
-from gri.errors import InputError, guarded_reading
+from gri.errors import InputError
 
 FILES = ("surroundings.parquet", "steps.parquet")
 COLUMNS = ("episode", "counterpart", "time", "vehicle", "s", "d", "v", "a")
@@ -19,7 +19,7 @@ COLUMNS = ("episode", "counterpart", "time", "vehicle", "s", "d", "v", "a")
 def read(inside: Sequence[Member], options: ReadingOptions, notes: list[str]) -> Iterator[Part]:
     """One part per kind of episode: driven by a policy, and left to SUMO."""
     member = next((m for name in FILES for m in inside if m.name == name), inside[0])
-    with guarded_reading(str(member), "table of a run", "run it again"), member.open_whole() as stream:
+    with member.open_whole("table of a run", "run it again") as stream:
         table = pd.read_parquet(stream)
     if missing := [name for name in COLUMNS if name not in table]:
         raise InputError(f"{member}: column {missing[0]} is missing, wanted a table of a run; give a run folder")

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+import pandas as pd
 
 from gri.data.ngsim.defects import Quality, clean
 from gri.data.ngsim.extract import KINDS, Extracted, RecordingsDoor, extract
@@ -16,7 +17,7 @@ from gri.data.ngsim.rules import Rules
 from gri.data.recordings.files import members, sha256
 from gri.data.recordings.layouts import find_layout
 from gri.data.recordings.parts import ReadingOptions
-from gri.data.recordings.reading import Recordings, open_recordings
+from gri.data.recordings.reading import Recordings, open_recordings, tidy_table
 from gri.data.recordings.table import CLASSES
 from gri.errors import InputError
 from gri.progress import Progress, no_progress
@@ -96,3 +97,25 @@ def make_scenes(
     }
     door = RecordingsDoor(open_file, {"recordings": made})
     return extract(paths, out, rules, site=options.site, progress=progress, door=door), notes
+
+
+def write_tidy(
+    paths: Sequence[Path], out: Path, options: ReadingOptions, progress: Progress = no_progress
+) -> list[str]:
+    """Write recordings as one tidy table (Parquet, or text if `out` ends in .csv); returns notes and counts.
+
+    Errors: `InputError` as in `open_recordings`.
+    """
+    notes, tables = [], []
+    for path in paths:
+        with tempfile.TemporaryDirectory(prefix="gri-recording-") as folder:
+            found = open_recordings(path, Path(folder), options, progress)
+            notes += found.notes
+            tables += [tidy_table(recording) for recording in found]
+    table = pd.concat(tables, ignore_index=True)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    if out.suffix == ".csv":
+        table.to_csv(out, index=False)
+    else:
+        table.to_parquet(out, index=False, compression="zstd")
+    return [*notes, f"{len(table):,} rows of {len(tables)} recordings in {out}"]

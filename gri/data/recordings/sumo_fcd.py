@@ -17,7 +17,7 @@ from gri.data.recordings.files import Member
 from gri.data.recordings.names import plain
 from gri.data.recordings.parts import Part, ReadingOptions
 from gri.data.recordings.text_tables import MOST_ROWS, as_numbers, read_text
-from gri.errors import InputError, guarded_reading
+from gri.errors import InputError
 
 NUMBERS = ("timesteptime", "vehiclex", "vehicley", "vehicleangle", "vehiclespeed", "vehicleacceleration")
 TEXTS = ("vehicleid", "vehicletype", "vehiclelane")
@@ -63,7 +63,7 @@ def _rows(member: Member) -> pd.DataFrame:
     with member.open() as stream:
         start = stream.read(4)
     if start == b"PAR1":
-        with guarded_reading(str(member), "Parquet file", FIX), member.open_whole() as stream:
+        with member.open_whole("Parquet file", FIX) as stream:
             table = pd.read_parquet(stream)
         table = table.set_axis([plain(str(name)) for name in table.columns], axis=1)
         return table.assign(**{name: as_numbers(table[name], member) for name in NUMBERS if name in table})
@@ -75,7 +75,7 @@ def _rows(member: Member) -> pd.DataFrame:
 def _of_xml(member: Member) -> pd.DataFrame:
     columns: dict[str, list[Any]] = {name: [] for name in ("time", *_IN_XML)}
     time = ""
-    with guarded_reading(str(member), "FCD output", FIX), member.open() as stream:
+    with member.open("FCD output", FIX) as stream:
         root = None
         for event, element in ElementTree.iterparse(stream, ("start", "end")):
             root = element if root is None else root
@@ -109,7 +109,7 @@ def vehicle_types(path: Path) -> dict[str, tuple[float, float, str]]:
     """
     found = {}
     fix = "give the route or additional file with the <vType> elements"
-    with guarded_reading(path, "SUMO file", fix), Member(path).open() as stream:
+    with Member(path).open("SUMO file", fix) as stream:
         for _, element in ElementTree.iterparse(stream):
             if element.tag == "vType" and (name := element.get("id")):
                 kind = element.get("vClass", "passenger")

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from io import TextIOWrapper
 from typing import Any, cast
 
@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from gri.data.recordings.files import FIX, Member
-from gri.errors import InputError, guarded_reading
+from gri.errors import InputError
 
 SAMPLE = 1 << 16  # bytes in which separator, decimal mark and encoding are looked for
 LONGEST_LINE = 100_000  # bytes
@@ -92,11 +92,12 @@ def read_text(
     Errors: `InputError` that names file, line and column if a cell is no number, or if the rows are no table.
     """
     found = dialect(member)
-    with guarded_reading(str(member), "table of text", FIX):
-        try:
-            table = _parsed(member, found, canonical, wanted)
-        except UnicodeDecodeError:
-            table = _parsed(member, Dialect("cp1252", *list(vars(found).values())[1:]), canonical, wanted)
+    try:
+        table = _parsed(member, found, canonical, wanted)
+    except InputError as error:
+        if not isinstance(error.__cause__, UnicodeDecodeError):
+            raise
+        table = _parsed(member, replace(found, encoding="cp1252"), canonical, wanted)
     if not len(table):
         raise InputError(f"{member}: has no rows; {FIX}")
     return table.assign(
@@ -111,7 +112,7 @@ def _parsed(
     doubled = [name for k, name in enumerate(names) if name in names[:k] and (wanted is None or name in wanted)]
     if doubled:
         raise InputError(f"{member}:1: column {doubled[0]} is there twice; rename one of them")
-    with member.open() as stream:
+    with member.open("table of text") as stream:
         try:
             table = pd.read_csv(
                 cast(Any, TextIOWrapper(cast(Any, stream), encoding=found.encoding, newline="")),

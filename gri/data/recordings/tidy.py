@@ -9,7 +9,7 @@ from gri.data.recordings.names import drop_factor, mapped, split_factor
 from gri.data.recordings.parts import Part, ReadingOptions
 from gri.data.recordings.table import BY_NAME, NUMBERS
 from gri.data.recordings.text_tables import as_numbers, read_text
-from gri.errors import InputError, guarded_reading
+from gri.errors import InputError
 
 
 def read(inside: Sequence[Member], options: ReadingOptions, notes: list[str]) -> Iterator[Part]:
@@ -34,7 +34,7 @@ def read(inside: Sequence[Member], options: ReadingOptions, notes: list[str]) ->
 def _table(member: Member, options: ReadingOptions) -> pd.DataFrame:
     with member.open() as stream:
         if stream.read(4) == b"PAR1":
-            with guarded_reading(str(member), "Parquet file", "write it again"), member.open_whole() as whole:
+            with member.open_whole("Parquet file", "write it again") as whole:
                 return pd.read_parquet(whole)
     numbers = {name for name in drop_factor(options.columns) if _is_number(name, options)}
     return read_text(member, {*NUMBERS, *numbers})

@@ -9,6 +9,7 @@ import pytest
 from cosim.runs.run_reading import NEEDED, TABLES
 from cosim.studies.traffic_samples import COLUMNS, recorded_samples, run_samples, with_headways
 from gri.errors import InputError
+from tests.gri.data.recordings import layout_files
 
 FEET = 1 / 0.3048
 
@@ -104,3 +105,11 @@ def test_a_run_gives_the_driven_vehicles_once_a_second(tmp_path):
     assert found.groupby("driver")["time"].unique().map(list).tolist() == [[601.0, 602.0]] * 2
     assert set(found["vehicle"]) == {"v0", "v1"}
     assert (found["time_gap"] == 2.0).all()
+
+
+def test_recordings_of_other_layouts_give_the_same_samples(tmp_path):
+    table = layout_files.traffic()
+    ngsim = recorded_samples(layout_files.ngsim(table, tmp_path / "here.csv", "07-2"))
+    highd = recorded_samples(layout_files.highd(table, tmp_path / "highd"))
+    assert len(ngsim) > 100
+    pd.testing.assert_frame_equal(ngsim.drop(columns="source"), highd.drop(columns="source"), check_exact=True)

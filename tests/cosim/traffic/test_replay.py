@@ -18,6 +18,8 @@ from cosim.traffic.running_simulation import simulation
 from cosim.traffic.simulation_input import SumoFiles, prepare_simulation
 from cosim.world.episode import Ending, EventKind
 from gri.core.policy import ConstantVelocity, IntelligentDriver
+from gri.data.recordings.parts import ReadingOptions
+from gri.data.recordings.scenes import write_tidy
 from gri.errors import InputError
 from gri.resources import shipped
 
@@ -59,6 +61,23 @@ def scenario(recording):
     chosen = with_recording(load_scenario("us101_replay"), recording)
     rule = CarFollowing(max_time_gap=4.0)
     return replace(chosen, group=rule, history=3.0, horizon=3.0, watch=1.0, episodes=1)
+
+
+def test_the_same_recording_in_another_layout_is_replayed_in_the_same_way(recording, tmp_path):
+    tidy = tmp_path / "tidy.csv"
+    write_tidy([recording], tidy, ReadingOptions(site="us-101"))
+    background = load_scenario("us101_replay").background
+    ours, theirs = (read_tracks(replace(background, recording=str(path)), 0.2) for path in (recording, tidy))
+    assert len(ours) == len(theirs) == 5
+    for one, other in zip(ours, theirs, strict=True):
+        assert (one.lane, one.truck, one.length, one.first_step) == (
+            other.lane,
+            other.truck,
+            other.length,
+            other.first_step,
+        )
+        for name in ("s", "d", "heading", "v"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
 
 
 def at(name: str, ids: tuple[str, ...]) -> int:

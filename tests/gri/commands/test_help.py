@@ -7,7 +7,7 @@ import pytest
 from gri.commands.cli import app
 from tests import help_pages
 
-UNITS = {("ngsim scenes", "[m]"), ("scenes make", "[m]"), ("scenes inspect", "[m]")}
+UNITS = {("ngsim scenes", "[m]"), ("scenes make", "[m]"), ("scenes inspect", "[m]"), ("scenes tidy", "[m]")}
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import pytest
 
 from gri.data.ngsim.rules import Rules
 from gri.data.recordings.parts import ReadingOptions
-from gri.data.recordings.scenes import inspect_file, make_scenes
+from gri.data.recordings.scenes import inspect_file, make_scenes, write_tidy
 from tests.gri.data.recordings import layout_files
 from tests.gri.data.recordings.layout_files import EDGES, LABELS, WRITERS, traffic
 
@@ -125,3 +125,10 @@ def test_all_test_puts_every_scene_there_and_draws_none(tmp_path: Path):
     assert set(scenes["split"]) == {"test"}
     assert not scenes["source"].str.endswith("drawn").any()
     assert len(scenes["scene"].unique()) > 10
+
+
+def test_a_tidy_table_made_of_a_recording_gives_the_same_scenes(tmp_path: Path):
+    path = layout_files.ngsim(traffic(), tmp_path / "us-101.csv", "1118846980200")
+    write_tidy([path], tmp_path / "tidy.parquet", HERE)
+    ours, theirs = scenes_of(path), scenes_of(tmp_path / "tidy.parquet")
+    pd.testing.assert_frame_equal(ours, theirs, check_exact=True)
