@@ -19,8 +19,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from cosim.runs.run_reading import TABLES, read_json
-from cosim.runs.share_tables import SHARE_TABLES
+from cosim.runs.run_reading import SHARE_TABLES, TABLES, read_json
 from gri.errors import InputError
 
 PARTIAL = ".partial"

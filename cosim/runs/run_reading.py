@@ -9,6 +9,7 @@ import pandas as pd
 from gri.errors import InputError, guarded_reading
 
 TABLES = ("steps", "groups", "counterparts", "events", "graphs")
+SHARE_TABLES = ("traffic", "vehicles", "space_time", "incidents", "pair_graphs")
 NEEDED = {
     "steps": ("episode", "driver", "time", "role", "vehicle", "present", "driven", "s", "d", "v", "a"),
     "groups": ("episode", "driver", "ending", "takeover_time"),

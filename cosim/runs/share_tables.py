@@ -17,10 +17,10 @@ from cosim.measures.traffic_measures import (
     space_time,
     vehicles_table,
 )
+from cosim.runs.run_reading import SHARE_TABLES
 from gri.errors import InputError, guarded_reading
 
 ALL = "all"  # the row of all vehicles
-SHARE_TABLES = ("traffic", "vehicles", "space_time", "incidents", "pair_graphs")
 KINDS = ("contact", "misplaced", "stuck")  # of events that are counted
 
 
