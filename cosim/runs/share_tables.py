@@ -17,10 +17,9 @@ from cosim.measures.traffic_measures import (
     space_time,
     vehicles_table,
 )
-from cosim.runs.run_reading import SHARE_TABLES
+from cosim.runs.run_reading import ALL, SHARE_TABLES
 from gri.errors import InputError, guarded_reading
 
-ALL = "all"  # the row of all vehicles
 KINDS = ("contact", "misplaced", "stuck")  # of events that are counted
 
 
