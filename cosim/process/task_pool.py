@@ -37,7 +37,7 @@ def run_local(queue: deque[Task], time_limit: float, *, workers: int) -> TaskRes
             for k in range(workers):
                 if queue and (k == len(crew) or crew[k].task is None):
                     crew[k : k + 1] = [alive_or_new(crew[k] if k < len(crew) else None)]
-                    crew[k].begin(_next_task(queue, crew[k], crew), time_limit)
+                    crew[k].begin(next_task(queue, crew[k], crew), time_limit)
             busy = [worker for worker in crew if worker.task]
             wait([worker.pipe for worker in busy], timeout=min(worker.time_left for worker in busy))
             for worker in busy:
@@ -48,7 +48,7 @@ def run_local(queue: deque[Task], time_limit: float, *, workers: int) -> TaskRes
             worker.end()
 
 
-def _next_task(queue: deque[Task], worker: "Worker", crew: Sequence["Worker"]) -> Task:
+def next_task(queue: deque[Task], worker: "Worker", crew: Sequence["Worker"]) -> Task:
     """Take a task for a worker: one for which it is prepared, or else one for which no other worker is."""
     others = {other.key for other in crew if other is not worker} - {""}
     own = (k for k, task in enumerate(queue) if worker.key and key_of(task) == worker.key)

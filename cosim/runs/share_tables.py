@@ -18,10 +18,9 @@ from cosim.measures.traffic_measures import (
     vehicles_table,
 )
 from cosim.runs.finished_run import verified_file
+from cosim.runs.run_reading import ALL, SHARE_TABLES
 from gri.errors import InputError, guarded_reading
 
-ALL = "all"  # the row of all vehicles
-SHARE_TABLES = ("traffic", "vehicles", "space_time", "incidents", "pair_graphs")
 KINDS = ("contact", "misplaced", "stuck")  # of events that are counted
 
 

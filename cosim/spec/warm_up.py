@@ -13,9 +13,9 @@ def warm_up_key(scenario: Scenario) -> str:
     """The same text for scenarios that differ in the policy and in perturbations of single groups only.
 
     "" where a run needs a process of its own: with perturbed traffic, which is measured besides, with a recording, with
-    SUMO files of the user, and where there is nothing to share.
+    SUMO files of the user, where policies drive shares of the traffic, and where there is nothing to share.
     """
-    own_process = scenario.traffic.has_own_files or isinstance(scenario.background, Replay)
+    own_process = scenario.traffic.has_own_files or scenario.has_shares or isinstance(scenario.background, Replay)
     if (
         own_process
         or not scenario.traffic.warm_up

@@ -8,7 +8,6 @@ from itertools import pairwise
 
 import numpy as np
 import pandas as pd
-from scipy.interpolate import CubicSpline
 
 from gri.data.ngsim.columns import FRAME
 from gri.errors import InputError
@@ -78,6 +77,8 @@ def _interpolated(table: pd.DataFrame, step: float) -> pd.DataFrame:
 
 
 def _track(rows: pd.DataFrame, frame: np.ndarray, step: float) -> pd.DataFrame:
+    from scipy.interpolate import CubicSpline  # takes long to import; most runs replay no recording
+
     time, at = rows["time_s"].to_numpy(), (frame * FRAME).clip(rows["time_s"].iloc[0], rows["time_s"].iloc[-1])
     before = np.searchsorted(time, at + 1e-6, "right").clip(1) - 1
     made = {name: rows[name].to_numpy()[before] for name in STEADY}

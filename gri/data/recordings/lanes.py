@@ -5,8 +5,6 @@ from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
-from scipy.ndimage import gaussian_filter1d
-from scipy.signal import find_peaks
 
 SAME_LANE = 1.5
 """Names of lanes whose vehicles have median lateral positions that are closer than this are one lane [m]."""
@@ -45,6 +43,9 @@ def estimated_edges(d: pd.Series) -> tuple[float, ...]:
     if not len(values):
         return ()
     bins = np.arange(values.min() - 2, values.max() + 2 + BIN, BIN)
+    from scipy.ndimage import gaussian_filter1d  # both take long to import; most runs replay no recording
+    from scipy.signal import find_peaks
+
     counts = gaussian_filter1d(np.histogram(values, bins)[0].astype(float), BLUR / BIN)
     peaks = find_peaks(counts, height=LEAST_SHARE * counts.max(), distance=round(LEAST_LANE_WIDTH / BIN))[0]
     rough = bins[peaks] + BIN / 2

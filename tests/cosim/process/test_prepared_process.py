@@ -9,7 +9,7 @@ import pytest
 
 from cosim.process.fork import CAN_FORK
 from cosim.process.task import Preparation, Task, TaskResult
-from cosim.process.task_pool import run_local
+from cosim.process.task_pool import Worker, key_of, next_task, run_local
 from tests.cosim.process.conftest import tasks
 from tests.cosim.process.test_task_pool import gone, pids
 
@@ -37,10 +37,16 @@ def test_it_is_entered_once_per_key_and_each_task_is_a_copy(tmp_path):
     assert len(set(own)) == 4
 
 
-def test_workers_take_different_keys(tmp_path):
-    queue = prepared(tmp_path, *[("fine", "one")] * 3, *[("fine", "two")] * 3)
-    processes = [answer.value[0] for answer in done(queue, workers=2)]
-    assert len(set(processes[:3])) == len(set(processes[3:])) == 1
+def test_workers_take_their_own_key_and_then_one_that_nobody_has(tmp_path):
+    queue = prepared(tmp_path, *(("fine", what) for what in ("one", "two", "one", "three", "two")))
+    first, second = (Worker.__new__(Worker) for _ in range(2))
+    first.key = second.key = ""
+    taken = []
+    for worker in (first, second, first, first, second):
+        worker.key = key_of(task := next_task(queue, worker, [first, second]))
+        taken.append(task.name)
+    assert taken == ["fine-0", "fine-1", "fine-2", "fine-3", "fine-4"]
+    assert (first.key, second.key, len(queue)) == ("three", "two", 0)
 
 
 def test_where_it_fails_tasks_are_done_without_it(tmp_path):

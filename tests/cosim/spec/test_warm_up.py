@@ -22,4 +22,5 @@ def test_policies_and_perturbed_groups_share_it_and_other_traffic_does_not():
 
 def test_perturbed_traffic_and_no_warm_up_share_nothing():
     assert not warm_up_key(replace(SCENARIO, perturbations=(LowFriction(intensity=0.5),)))
+    assert not warm_up_key(replace(SCENARIO, share=0.2))
     assert not warm_up_key(replace(SCENARIO, traffic=replace(SCENARIO.traffic, warm_up=0.0)))
