@@ -23,7 +23,7 @@ def select_groups(store: BatchStore, where: Sequence[str]) -> pd.DataFrame:
     """
     groups = groups_of(store)
     for condition in where:
-        groups = _filtered(groups, condition)
+        groups = filtered(groups, condition)
     if not len(groups):
         raise InputError(
             f"--where {' '.join(where)}: no group satisfies this; `cosim results {store.folder}` lists all"
@@ -56,7 +56,7 @@ def _ordered(table: Path, runs: list[str]) -> pd.DataFrame:
     return rows.sort_values(["run", "episode"], ignore_index=True).astype({"run": str})
 
 
-def _filtered(table: pd.DataFrame, condition: str) -> pd.DataFrame:
+def filtered(table: pd.DataFrame, condition: str) -> pd.DataFrame:
     name, equals, value = condition.partition("=")
     if not equals:
         raise InputError(f"--where {condition}: expected column=value, e.g. policy=idm")
@@ -180,7 +180,7 @@ def runs_table(store: BatchStore, where: Sequence[str]) -> Table:
     """Every run of the batch with its labels, its state, and its starts where it found fewer than asked for."""
     listed = pd.DataFrame(store.manifest()["runs"])
     for condition in where:
-        listed = _filtered(listed, condition)
+        listed = filtered(listed, condition)
     if "starts" in listed:
         few = listed["starts"] < listed["asked"]
         told = [f"{run.state}, {run.starts:g} of {run.asked:g} starts" for run in listed[few].itertuples()]

@@ -23,6 +23,7 @@ from gri.errors import InputError
 
 FORMAT = 2  # of the results of a run; with a new number every run is repeated
 PACKAGES = ("gri-cosim", "libsumo", "numpy", "torch")  # whose versions a run depends on
+NEWER = ("share", "shares")  # fields that are no part of the key of a run where they are not given
 
 
 @dataclass(frozen=True, order=True)
@@ -123,14 +124,19 @@ def key_of(scenario: Scenario, labels: Mapping[str, Any]) -> str:
 
 def _without_folders(content: dict[str, Any]) -> dict[str, Any]:
     """A scenario that names its files without their folders; what counts is their content."""
-    policy = {
-        name: Path(value).name if name in ("checkpoint", "object") else value
-        for name, value in content["policy"].items()
+    policy = _policy_without_folders(content["policy"])
+    shares = {
+        name: {**part, "policy": _policy_without_folders(part["policy"])} for name, part in content["shares"].items()
     }
     background = {
         name: Path(value).name if name == "recording" else value for name, value in content["background"].items()
     }
-    return {**content, "net": Path(content["net"]).name, "policy": policy, "background": background}
+    found = {**content, "net": Path(content["net"]).name, "policy": policy, "background": background, "shares": shares}
+    return {name: value for name, value in found.items() if name not in NEWER or value not in (None, {})}
+
+
+def _policy_without_folders(policy: dict[str, Any]) -> dict[str, Any]:
+    return {name: Path(value).name if name in ("checkpoint", "object") else value for name, value in policy.items()}
 
 
 _sha256 = cache(sha256)

@@ -11,6 +11,8 @@ from cosim.batch.spec import LEFT_TO_SUMO, NOMINAL
 from cosim.perturb.traffic_demand import perturbed_traffic
 from cosim.runs.policy_loading import policy_of
 from cosim.runs.run_job import run_job
+from cosim.runs.share_job import run_share_job
+from cosim.runs.share_policies import share_plans
 from cosim.spec.scenario import Scenario
 from gri.errors import InputError
 
@@ -23,7 +25,7 @@ def check_policies(runs: Sequence[Run], tell: Callable[..., None]) -> None:
     }
     for run in kinds.values():
         try:
-            policy_of(run.scenario)
+            share_plans(run.scenario) if run.scenario.has_shares else policy_of(run.scenario)
         except InputError as error:
             raise InputError(f"{run.cell}: {error}") from None
 
@@ -38,6 +40,8 @@ def run_task(folder: Path, scenario: Scenario, labels: Mapping[str, Any], key: s
             "the net, the checkpoint or the versions here are not those that the batch began with; start"
             " `cosim batch` again, with the same installation on every machine"
         )
+    if scenario.has_shares:
+        return run_share_job(scenario, folder, lambda *_: None, labels=labels, draw=False)
     of_counterparts = {**labels, "policy": LEFT_TO_SUMO}
     if perturbed_traffic(scenario).traffic == scenario.traffic:  # what is perturbed is the driven group only
         of_counterparts |= {"perturbation": NOMINAL, "intensity": None}

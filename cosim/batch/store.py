@@ -2,6 +2,7 @@
 
     runs/<id>/                     a run folder as `cosim run` writes it; it appears whole or not at all
     groups/run=<id>/part.parquet   its tables again (hard links), partitioned by run; counterparts/ etc. likewise
+    traffic/run=<id>/part.parquet  the same for runs in which policies drive shares of the traffic
     failures/<id>.json             runs that failed finally, with their reasons
     log.jsonl                      one line per attempt: seconds, memory, outcome
     manifest.json                  file, versions, machine, and every run with its key, labels, state and hashes
@@ -19,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from cosim.runs.run_reading import TABLES, read_json
+from cosim.runs.share_reading import SHARE_TABLES
 from gri.errors import InputError
 
 PARTIAL = ".partial"
@@ -73,7 +75,7 @@ class BatchStore:
             (self.folder / "failures" / f"{run}.json").unlink(missing_ok=True)
             os.replace(partial, self.run_folder(run))
         except OSError:
-            for table in TABLES:
+            for table in (*TABLES, *SHARE_TABLES):
                 shutil.rmtree(self._part(table, run).parent, ignore_errors=True)
             raise
 
@@ -103,6 +105,7 @@ class BatchStore:
         present = runs & self.finished()
         for table in TABLES:
             (self.folder / table).mkdir(exist_ok=True)
+        for table in (*TABLES, *SHARE_TABLES):
             for path in (self.folder / table).glob("run=*"):
                 if path.name.removeprefix("run=") not in present:
                     shutil.rmtree(path)
@@ -113,10 +116,11 @@ class BatchStore:
         return self.folder / table / f"run={run}" / "part.parquet"
 
     def _link(self, run: str, source: Path) -> None:
-        for table in TABLES:
+        written = [table for table in (*TABLES, *SHARE_TABLES) if (source / f"{table}.parquet").is_file()]
+        for table in written or TABLES:
             part = self._part(table, run)
             if not part.is_file():
-                part.parent.mkdir(exist_ok=True)
+                part.parent.mkdir(exist_ok=True, parents=True)
                 _link_or_copy(source / f"{table}.parquet", part)
 
 

@@ -19,6 +19,9 @@ if TYPE_CHECKING:
     from cosim.batch.run_matrix import Run
 
 
+BY_GROUPS = "perturbation,intensity,policy"
+
+
 def batch(
     file: Annotated[str, typer.Argument(metavar="FILE", help="Name of a shipped batch, or path of a YAML file.")],
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the file and list its runs; run nothing.")] = False,
@@ -107,8 +110,8 @@ def results(
         typer.Option(metavar="COLUMN=VALUE", help="Use only rows with this value, such as policy=idm; repeatable."),
     ] = [],  # noqa: B006
     by: Annotated[
-        str, typer.Option(help="Columns to group by, separated by commas.")
-    ] = "perturbation,intensity,policy",
+        str, typer.Option(help="Columns to group by, separated by commas; with shares of the traffic: policy,share.")
+    ] = BY_GROUPS,
     compare: Annotated[
         str | None, typer.Option(help="Compare two policies on the same starts, such as gri,idm.")
     ] = None,
@@ -117,15 +120,29 @@ def results(
     failures: Annotated[bool, typer.Option("--failures", help="List the runs that failed, and why.")] = False,
     table_format: FormatOption = "table",
 ) -> None:
-    """List, filter, compare or export the results of a batch."""
+    """List, filter, compare or export the results of a batch.
+
+    Of runs with a share of the traffic, the table has the figures of the traffic.
+    """
     from cosim.batch import result_listing
     from cosim.batch.store import BatchStore
+    from cosim.batch.traffic_results import DEFAULT_BY, has_traffic, traffic_rows, traffic_table
 
     store = BatchStore(folder)
     if failures:
         return show_tables([result_listing.failures_table(store)], table_format)
     if runs:
         return show_tables([result_listing.runs_table(store, where)], table_format)
+    if has_traffic(store):
+        if compare:
+            raise InputError("--compare: these runs have shares of the traffic and no groups; use --by policy,share")
+        rows = traffic_rows(store, where)
+        if csv:
+            rows.to_csv(csv, index=False)
+            say(f"{len(rows)} rows: {csv}")
+            return next_command(f"cosim report {folder}")
+        table = traffic_table(rows, DEFAULT_BY if by == BY_GROUPS else by)
+        return show_tables([table], table_format, then=f"cosim report {folder}")
     groups = result_listing.select_groups(store, where)
     if csv:
         groups.to_csv(csv, index=False)

@@ -16,22 +16,40 @@ def report(
     folder: Annotated[Path, typer.Argument(metavar="FOLDER", help="Folder of a run, a batch or a stress test.")],
     episode: Annotated[int | None, typer.Option(help="For a run: episode to draw; default: the most eventful.")] = None,
     out: Annotated[
-        Path | None, typer.Option(help="For a batch: file to write; default: report.html in its folder.")
+        Path | None,
+        typer.Option(help="For a batch: file to write; default: report.html or penetration.svg in its folder."),
     ] = None,
     table_format: FormatOption = "table",
 ) -> None:
     """Show a run as a table and picture, a batch as an HTML file.
 
+<<<<<<< HEAD
     Of a stress test, its tables, figures and pages are written again.
+=======
+    A batch with shares of the traffic is shown as curves over the share.
+    Of a stress test, its tables, figures and Markdown page are written again.
+>>>>>>> 918defe (Policies drive a share of the traffic in the trunk: speeds by command, lanes by SUMO; figures, batches, curves)
     """
     if (folder / "runs").is_dir():
-        return _batch_report(folder, out or folder / "report.html")
+        return _batch_report(folder, out)
     if (folder / "stress.json").is_file():
         from cosim.show.stress_page import write_stress_page
         from cosim.stress.stress_test import publish_again
 
         publish_again(folder)
+<<<<<<< HEAD
         return say(f"Report: {folder / 'stress.md'}, for a browser: {write_stress_page(folder)}")
+=======
+        return say(f"Report: {folder / 'stress.md'}")
+    if (folder / "traffic.parquet").is_file():
+        from cosim.commands.share import show_share
+
+        if episode is not None:
+            raise InputError(
+                f"--episode: {folder} is a run with a share of the traffic and has no episodes; leave it out"
+            )
+        return show_share(folder, table_format)
+>>>>>>> 918defe (Policies drive a share of the traffic in the trunk: speeds by command, lanes by SUMO; figures, batches, curves)
     from cosim.runs.episode_figure import picture
     from cosim.runs.run_reading import read_tables
     from cosim.runs.summary import summary_table
@@ -50,10 +68,18 @@ def report(
     )
 
 
-def _batch_report(folder: Path, path: Path) -> None:
+def _batch_report(folder: Path, out: Path | None) -> None:
     from cosim.batch.store import BatchStore, write_whole
+    from cosim.batch.traffic_results import has_traffic, traffic_rows
     from cosim.show.batch_report import batch_report
 
+    if has_traffic(store := BatchStore(folder)):
+        from cosim.show.penetration_curves import penetration_picture
+
+        penetration_picture(traffic_rows(store), path := out or folder / "penetration.svg")
+        say(f"Curves: {path}")
+        return next_command(f"cosim results {folder}")
+    path = out or folder / "report.html"
     write_whole(path, batch_report(BatchStore(folder)))
     say(f"Report: {path}")
     next_command(f"cosim results {folder}")

@@ -173,10 +173,18 @@ def run(
         >>> done.figure()
     """
     allowed = (overrides or {}).get("max_work")
+<<<<<<< HEAD
     if isinstance(scenario, Scenario):
         chosen = changed(scenario, settings_of(settings)) if settings else scenario
     else:
         chosen = load_scenario(str(scenario), max_work=allowed, settings=settings)
+=======
+    chosen = scenario if isinstance(scenario, Scenario) else load_scenario(str(scenario), max_work=allowed)
+    if chosen.has_shares and not {"share", "shares"} & set(overrides or {}):
+        raise InputError(
+            "share: got a scenario with a share of the traffic and no groups; call cosim.run_traffic for it"
+        )
+>>>>>>> 918defe (Policies drive a share of the traffic in the trunk: speeds by command, lanes by SUMO; figures, batches, curves)
     spec, own = _policy(policy)
     if spec is None and isinstance(chosen.policy, UserPolicy) and not isinstance(scenario, Scenario):
         file = find_file(str(scenario), "scenarios", "scenario")

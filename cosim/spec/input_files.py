@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 from xml.parsers import expat
 
-from cosim.spec.scenario import Replay, Scenario, TrainedPolicy, UserPolicy
+from cosim.spec.scenario import Driver, Replay, Scenario, TrainedPolicy, UserPolicy
 from cosim.spec.sumo_configuration import configuration
 from gri.errors import InputError
 from gri.resources import find_checkpoint, is_file, shipped
@@ -63,13 +63,19 @@ def input_files(scenario: Scenario) -> dict[str, Path]:
         files |= {what: path for what, path in own.items() if what != "net"}
         if scenario.traffic.sumocfg:
             files["sumocfg"] = Path(scenario.traffic.sumocfg)
-    if isinstance(scenario.policy, TrainedPolicy):
-        files["checkpoint"] = checkpoint_path(scenario.policy.checkpoint)
-    if isinstance(scenario.policy, UserPolicy):
-        files["policy"] = source_path(scenario.policy)
+    files |= _files_of(scenario.policy, "")
+    for name, part in scenario.shares.items():
+        files |= _files_of(part.policy, f".{name}")
     if isinstance(scenario.background, Replay):
         files["recording"] = recording_path(scenario.background)
     return files
+
+
+def _files_of(policy: Driver, name: str) -> dict[str, Path]:
+    """The checkpoint or the source file of a policy."""
+    if isinstance(policy, TrainedPolicy):
+        return {f"checkpoint{name}": checkpoint_path(policy.checkpoint)}
+    return {f"policy{name}": source_path(policy)} if isinstance(policy, UserPolicy) else {}
 
 
 def recording_path(background: Replay) -> Path:

@@ -67,6 +67,8 @@ def files_beside(content: Any, path: Path) -> Any:
     if not isinstance(content, dict):
         return content
     result = dict(content)
+    if isinstance(shares := content.get("shares"), dict):
+        result["shares"] = {name: files_beside(part, path) for name, part in shares.items()}
     for field, inner in ((None, "net"), ("policy", "checkpoint"), ("policy", "object"), ("background", "recording")):
         holder = result if field is None else result.get(field)
         if not isinstance(holder, dict) or not isinstance(given := holder.get(inner), str):

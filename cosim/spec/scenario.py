@@ -15,11 +15,13 @@ from cosim.spec.demand import (
     Distance,
     Duration,
     Gap,
+    Name,
     Place,
     Position,
     PositiveDuration,
     PositiveGap,
     PositivePeriod,
+    Share,
     Spec,
     Speed,
     SpeedLimit,
@@ -28,6 +30,8 @@ from cosim.spec.demand import (
     Traffic,
 )
 from cosim.spec.perturbations import CHANGES_DEMAND, Perturbation
+from cosim.spec.shares import check_shares
+from cosim.spec.sumo_models import SumoModel
 from cosim.spec.work import Work, entering, refuse_too_much
 
 AFTERMATH = 10.0  # [s] after the hand-back of a group in which its contacts still count
@@ -178,7 +182,14 @@ class Enforced(Spec, frozen=True, kw_only=True, tag_field="source", tag="enforce
 
 
 GraphSource = Inferred | GroundTruth | Enforced
-Driver = TrainedPolicy | Idm | ConstantVelocity | LeftToSumo | UserPolicy
+Driver = TrainedPolicy | Idm | ConstantVelocity | LeftToSumo | UserPolicy | SumoModel
+
+
+class PolicyShare(Spec, frozen=True, kw_only=True):
+    """A policy and the share of the entering vehicles that it drives."""
+
+    policy: Driver
+    share: Share
 
 
 def tag_of(choice: GroupRule | Driver | Perturbation) -> str:
@@ -203,6 +214,9 @@ class Scenario(Spec, frozen=True, kw_only=True):
     With `surroundings` the run has a table of the vehicles around the groups. A batch leaves it out unless its
     `overrides` say true. A run is refused if it may need more than `max_work` times the usual limits of steps, vehicles
     and memory.
+
+    With `share` or `shares` there are no groups: `policy` drives this share of all entering vehicles, from entry to
+    exit, and each of the named `shares` another one, for `time_limit` after the warm-up (docs/penetration.md).
     """
 
     description: Text = ""
@@ -210,7 +224,7 @@ class Scenario(Spec, frozen=True, kw_only=True):
     road: Road
     traffic: Traffic
     background: Background = field(default_factory=SimulatedTraffic)
-    group: GroupRule
+    group: GroupRule = field(default_factory=CarFollowing)
     policy: Driver
     graph: GraphSource = field(default_factory=Inferred)
     reinfer_s: Duration = 0.0
@@ -227,6 +241,8 @@ class Scenario(Spec, frozen=True, kw_only=True):
     groups_at_once: Annotated[int, Meta(ge=1, le=1000)] = 6
     time_limit: PositivePeriod = 3600.0
     surroundings: bool = True
+    share: Share | None = None
+    shares: Annotated[dict[Name, PolicyShare], Meta(max_length=20)] = field(default_factory=dict)
     max_work: Annotated[float, Meta(gt=0, le=10_000)] = MAX_WORK
 
     def __post_init__(self) -> None:
@@ -234,6 +250,7 @@ class Scenario(Spec, frozen=True, kw_only=True):
             raise ValueError(f"driven is {list(self.driven)}, expected each role once")
         if self.traffic.has_own_files:
             self._check_own_files()
+        check_shares(self, isinstance(self.background, Replay))
         for name in ("policy_period", "history", "horizon", "watch", "rest", "reinfer_s"):
             steps = getattr(self, name) / self.step
             if abs(steps - round(steps)) > 1e-6:
@@ -260,6 +277,11 @@ class Scenario(Spec, frozen=True, kw_only=True):
                 f"perturbations has {kinds[0]}, which changes the demand, and traffic has SUMO files of its own;"
                 " expected traffic with vehicles and flows, or other perturbations"
             )
+
+    @property
+    def has_shares(self) -> bool:
+        """Whether policies drive shares of the traffic instead of groups."""
+        return self.share is not None or bool(self.shares)
 
     def steps(self, duration: float) -> int:
         """A duration [s] in simulation steps."""
