@@ -92,41 +92,24 @@ def run(
     """Take groups out of live traffic, drive them, hand them back.
 
     A policy drives every group of vehicles for the horizon of the scenario. The
-<<<<<<< HEAD
     table compares it with the same groups left to SUMO. The exit code is 3 if the
     traffic had fewer groups than asked for.
-=======
-    table compares it with the same groups left to SUMO. Other policies than the
-    baselines are named in the scenario file, under `policy`. The exit code is 3 if
-    the traffic had fewer groups than asked for.
 
     In a scenario with a `share`, policies drive this share of all vehicles from
-    entry to exit instead. The table shows the traffic.
->>>>>>> 918defe (Policies drive a share of the traffic in the trunk: speeds by command, lanes by SUMO; figures, batches, curves)
+    entry to exit instead, and the table shows the traffic.
     """
     from cosim.spec.input_files import find_net
     from cosim.spec.loading import load_scenario
 
-<<<<<<< HEAD
     if policy and baseline:
         raise InputError("--policy and --baseline: both name what drives the groups; give one of them")
-    find_net(load_scenario(scenario, max_work=max_work, settings=settings or ()).net)  # before torch is imported
-=======
-    chosen = load_scenario(scenario, max_work=max_work)
-    find_net(chosen.net)  # a mistake need not wait for torch, which the next imports bring
+    chosen = load_scenario(scenario, max_work=max_work, settings=settings or ())
+    find_net(chosen.net)  # before torch is imported
     if chosen.has_shares:
         from cosim.commands.share import run_share
 
-        return run_share(
-            scenario,
-            seed=seed,
-            out=out,
-            overrides={} if max_work is None else {"max_work": max_work},
-            allow_code=allow_code,
-            table_format=table_format,
-            only_for_groups={"--baseline": baseline, "--episodes": episodes, "--recording": recording},
-        )
->>>>>>> 918defe (Policies drive a share of the traffic in the trunk: speeds by command, lanes by SUMO; figures, batches, curves)
+        for_groups = {"--policy": policy, "--baseline": baseline, "--episodes": episodes, "--recording": recording}
+        return run_share(scenario, seed, out, settings or (), max_work, allow_code, table_format, for_groups)
     from cosim.perturb.effects import shown_effects
     from cosim.runs.run import run as run_scenario
     from cosim.runs.summary import summary_table

@@ -1,7 +1,7 @@
 """What `cosim run` does with a scenario in which policies drive shares of the traffic."""
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +12,10 @@ from gri.terminal import ProgressDisplay, fail, notice, show_tables
 
 def run_share(
     scenario: str,
-    *,
     seed: int | None,
     out: Path | None,
-    overrides: Mapping[str, Any],
+    settings: Sequence[str],
+    max_work: float | None,
     allow_code: bool,
     table_format: TableFormat,
     only_for_groups: Mapping[str, Any],
@@ -28,7 +28,13 @@ def run_share(
     began = time.monotonic()
     with ProgressDisplay() as progress:
         done = run_traffic(
-            scenario, seed=seed, overrides=overrides, folder=out, allow_code=allow_code, progress=progress
+            scenario,
+            seed=seed,
+            overrides={} if max_work is None else {"max_work": max_work},
+            settings=settings,
+            folder=out,
+            allow_code=allow_code,
+            progress=progress,
         )
     show_tables(
         [done.summary()],

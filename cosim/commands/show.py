@@ -23,12 +23,8 @@ def report(
 ) -> None:
     """Show a run as a table and picture, a batch as an HTML file.
 
-<<<<<<< HEAD
-    Of a stress test, its tables, figures and pages are written again.
-=======
     A batch with shares of the traffic is shown as curves over the share.
-    Of a stress test, its tables, figures and Markdown page are written again.
->>>>>>> 918defe (Policies drive a share of the traffic in the trunk: speeds by command, lanes by SUMO; figures, batches, curves)
+    Of a stress test, its tables, figures and pages are written again.
     """
     if (folder / "runs").is_dir():
         return _batch_report(folder, out)
@@ -37,19 +33,15 @@ def report(
         from cosim.stress.stress_test import publish_again
 
         publish_again(folder)
-<<<<<<< HEAD
         return say(f"Report: {folder / 'stress.md'}, for a browser: {write_stress_page(folder)}")
-=======
-        return say(f"Report: {folder / 'stress.md'}")
     if (folder / "traffic.parquet").is_file():
         from cosim.commands.share import show_share
 
         if episode is not None:
             raise InputError(
-                f"--episode: {folder} is a run with a share of the traffic and has no episodes; leave it out"
+                f"--episode: {folder} is a run with a share of the traffic, without episodes; leave it out"
             )
         return show_share(folder, table_format)
->>>>>>> 918defe (Policies drive a share of the traffic in the trunk: speeds by command, lanes by SUMO; figures, batches, curves)
     from cosim.runs.episode_figure import picture
     from cosim.runs.run_reading import read_tables
     from cosim.runs.summary import summary_table

@@ -65,13 +65,9 @@ def policy_of(scenario: spec.Scenario) -> Policy | None:
             _check_vocabulary(model, scenario.group, path)
             policy = model
         case spec.UserPolicy() as own:
-<<<<<<< HEAD
             policy = own_policy(own, period)
-=======
-            policy = own_policy(own, scenario.step)
         case spec.SumoModel(model=name):
             raise InputError(f"policy: got SUMO's model {name}, which drives no groups; add a share to the scenario")
->>>>>>> 918defe (Policies drive a share of the traffic in the trunk: speeds by command, lanes by SUMO; figures, batches, curves)
     check_fit(policy, scenario)
     return policy
 

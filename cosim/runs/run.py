@@ -173,18 +173,10 @@ def run(
         >>> done.figure()
     """
     allowed = (overrides or {}).get("max_work")
-<<<<<<< HEAD
     if isinstance(scenario, Scenario):
         chosen = changed(scenario, settings_of(settings)) if settings else scenario
     else:
         chosen = load_scenario(str(scenario), max_work=allowed, settings=settings)
-=======
-    chosen = scenario if isinstance(scenario, Scenario) else load_scenario(str(scenario), max_work=allowed)
-    if chosen.has_shares and not {"share", "shares"} & set(overrides or {}):
-        raise InputError(
-            "share: got a scenario with a share of the traffic and no groups; call cosim.run_traffic for it"
-        )
->>>>>>> 918defe (Policies drive a share of the traffic in the trunk: speeds by command, lanes by SUMO; figures, batches, curves)
     spec, own = _policy(policy)
     if spec is None and isinstance(chosen.policy, UserPolicy) and not isinstance(scenario, Scenario):
         file = find_file(str(scenario), "scenarios", "scenario")
@@ -193,6 +185,8 @@ def run(
     chosen = override(chosen, {name: value for name, value in changes.items() if value is not None})
     if recording is not None:
         chosen = with_recording(chosen, Path(recording))
+    if chosen.has_shares:
+        raise InputError("share: got a scenario with a share of the traffic and no groups; call cosim.run_traffic")
     name = chosen.net if isinstance(scenario, Scenario) else Path(scenario).stem
     driver = re.sub(r"[^\w.-]+", "-", policy_name(chosen.policy) if own is None else own_name(own))
     place = Path(folder) if folder else next_folder(Path("runs"), f"{name}-{driver}-seed{chosen.seed}")

@@ -44,6 +44,11 @@ def _in_pairs(choice: Driver, scenario: Scenario) -> PairPolicy:
     alone = replace(scenario, policy=choice, share=None, shares={}, group=CarFollowing())
     policy = policy_of(alone)
     assert policy is not None, "left to SUMO has no plan"
+    if abs(policy.dt - scenario.step) > 1e-9:
+        raise InputError(
+            f"step: got {scenario.step:g} s, the policy acts every {policy.dt:g} s; a share is commanded in every step,"
+            " so set step to that"
+        )
     if isinstance(choice, UserPolicy):
         policy = OwnPolicy(policy, choice.decision_limit, TimedCalls(limit=choice.decision_limit))
     return pair_policy(policy, scenario.graph)

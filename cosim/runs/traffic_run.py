@@ -1,6 +1,6 @@
 """The Python door to runs in which policies drive shares of the traffic: `run_traffic`, `open_traffic_run`."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,8 +16,9 @@ from cosim.runs.run_tables import read_json
 from cosim.runs.share_summary import summary_table
 from cosim.runs.share_tables import read_share_tables
 from cosim.spec.input_files import refuse_foreign_code
-from cosim.spec.loading import find_file, load_scenario, override
+from cosim.spec.loading import changed, find_file, load_scenario, override
 from cosim.spec.scenario import Scenario
+from cosim.spec.settings import settings_of
 from cosim.spec.shares import driven_shares
 from gri.errors import InputError
 from gri.table import Table
@@ -71,6 +72,7 @@ def run_traffic(
     *,
     seed: int | None = None,
     overrides: Mapping[str, Any] | None = None,
+    settings: Sequence[str] = (),
     folder: str | Path | None = None,
     allow_code: bool = False,
     progress: Callable[[str, int, int], None] | None = None,
@@ -81,6 +83,7 @@ def run_traffic(
         scenario: name of a shipped scenario, path of a YAML file, or a `Scenario`.
         seed: replaces the scenario's seed.
         overrides: other top-level fields of the scenario to replace, such as `{"share": 0.4}`.
+        settings: changes of single fields at any depth, such as `["share=0.4"]`; values are written as in YAML.
         folder: where to write the run; by default a new folder in `runs/`.
         allow_code: whether to run a policy (`kind: python`) that a scenario file names outside its own folder.
         progress: called with (stage, done, total) while the run goes on.
@@ -95,8 +98,10 @@ def run_traffic(
         >>> done.traffic[["driver", "flow", "mean_speed", "contacts"]]
     """
     allowed = (overrides or {}).get("max_work")
-    chosen = scenario if isinstance(scenario, Scenario) else load_scenario(str(scenario), max_work=allowed)
-    if not isinstance(scenario, Scenario):
+    if isinstance(scenario, Scenario):
+        chosen = changed(scenario, settings_of(settings)) if settings else scenario
+    else:
+        chosen = load_scenario(str(scenario), max_work=allowed, settings=settings)
         refuse_foreign_code(msgspec.to_builtins(chosen), find_file(str(scenario), "scenarios", "scenario"), allow_code)
     changes = {**({} if seed is None else {"seed": seed}), **(overrides or {})}
     chosen = override(chosen, changes)
