@@ -4,6 +4,7 @@ A run is one value: seeds are independent, vehicles of one run are not.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -35,6 +36,7 @@ SHOWN = (
     "contacts",
     "misplaced",
 )
+MAY_BE_NEGATIVE = ("wave_speed", "capacity_drop")
 NOBODY = "nobody"  # the policy of runs in which no vehicle is driven
 
 
@@ -64,7 +66,8 @@ def estimate(rows: pd.DataFrame, name: str) -> Estimate:
     """The mean of a figure over runs with its 95 % interval over seeds; runs without a value are left out."""
     values = rows[name].to_numpy(dtype=float)
     known = np.isfinite(values)
-    return mean(values[known], rows["seed"].to_numpy()[known])
+    found = mean(values[known], rows["seed"].to_numpy()[known])
+    return found if name in MAY_BE_NEGATIVE else replace(found, low=float(np.maximum(found.low, 0)))
 
 
 def traffic_table(rows: pd.DataFrame, by: str) -> Table:
