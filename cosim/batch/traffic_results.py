@@ -12,8 +12,8 @@ import pandas as pd
 from cosim.batch.result_listing import filtered
 from cosim.batch.store import BatchStore
 from cosim.measures.statistics import Estimate, mean
+from cosim.runs.share_reading import ALL
 from cosim.runs.share_summary import BY_NAME, Figure
-from cosim.runs.share_tables import ALL
 from gri.errors import InputError, guarded_reading
 from gri.table import NBSP, Table
 

@@ -9,17 +9,17 @@ from typing import Any
 import msgspec
 import pandas as pd
 
-from cosim.loop.trunk import MANY_WAITING
 from cosim.process.worker_process import run_in_worker
 from cosim.runs.run_folder import next_folder, run_folder
-from cosim.runs.run_tables import read_json
+from cosim.runs.run_reading import read_json
+from cosim.runs.share_reading import read_share_tables
 from cosim.runs.share_summary import summary_table
-from cosim.runs.share_tables import read_share_tables
 from cosim.spec.input_files import refuse_foreign_code
 from cosim.spec.loading import changed, find_file, load_scenario, override
 from cosim.spec.scenario import Scenario
 from cosim.spec.settings import settings_of
 from cosim.spec.shares import driven_shares
+from cosim.world.backlog import MANY_WAITING
 from gri.errors import InputError
 from gri.table import Table
 
