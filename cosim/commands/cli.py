@@ -20,6 +20,7 @@ from cosim.commands.arguments import (
 )
 from cosim.commands.batch import batch, results
 from cosim.commands.check import check
+from cosim.commands.cutin_grid import cutin_grid
 from cosim.commands.new import new
 from cosim.commands.realism import realism
 from cosim.commands.scenes import scenes
@@ -149,7 +150,22 @@ def run(
         raise typer.Exit(FEWER_THAN_ASKED)
 
 
-for _command in (new, check, report, explain, render, gui, traffic, calibrate, realism, scenes, stress, batch, results):
+for _command in (
+    new,
+    check,
+    report,
+    explain,
+    render,
+    gui,
+    traffic,
+    calibrate,
+    realism,
+    scenes,
+    stress,
+    cutin_grid,
+    batch,
+    results,
+):
     app.command()(_command)
 
 

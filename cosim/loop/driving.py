@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 import torch
 
-from cosim.loop.graph_source import graph_from_source, keep_where_unknown
+from cosim.loop.graph_source import graph_from_source, keep_where_unknown, smoothed
 from cosim.loop.intervention import Intervention, NoIntervention
 from cosim.loop.observation import GroupObservation
 from cosim.loop.policy_runner import PolicyRunner
@@ -89,7 +89,13 @@ def start_round(
         intervention.displaced_start(latest),
         driven_roles=this_round.driven_roles,
         dt=this_round.dt,
-        override_graph=partial(_graph_to_use, source=driver.graph, this_round=this_round),
+        override_graph=partial(
+            _graph_to_use,
+            source=driver.graph,
+            this_round=this_round,
+            elapsed=driver.reinfer * this_round.dt,
+            window=driver.policy.history_steps * driver.policy.dt,
+        ),
         reinfer_steps=driver.reinfer,
         channels=intervention.channels(layout, road, len(observations)),
     )
@@ -99,9 +105,16 @@ def start_round(
 
 
 def _graph_to_use(
-    graph: InteractionGraph, last: InteractionGraph | None, source: GraphSource, this_round: Round
+    graph: InteractionGraph,
+    last: InteractionGraph | None,
+    source: GraphSource,
+    this_round: Round,
+    elapsed: float,
+    window: float,
 ) -> InteractionGraph:
-    known = graph if last is None else keep_where_unknown(graph, last, source)
+    known = graph
+    if last is not None:
+        known = keep_where_unknown(smoothed(graph, last, source, elapsed, window), last, source)
     return graph_from_source(known, source, this_round.rule, this_round.has_third_vehicle)
 
 

@@ -1,6 +1,8 @@
 """The graph that a policy uses: the inferred one, or what the scenario prescribes instead."""
 
+import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import torch
 
@@ -33,6 +35,23 @@ def keep_where_unknown(graph: InteractionGraph, last: InteractionGraph, source: 
         return graph
     keep = (graph.unknown > 1)[:, None, None]
     return InteractionGraph(torch.where(keep, last.logits, graph.logits), graph.vocabulary, graph.unknown)
+
+
+def smoothed(
+    graph: InteractionGraph, last: InteractionGraph, source: GraphSource, elapsed: float, window: float
+) -> InteractionGraph:
+    """The new graph as evidence for what the last one says: one forward step of a hidden Markov chain per pair.
+
+    Between two inferences, which are `elapsed` [s] apart, a relation changes to any other one with the source's
+    switching rate. Each graph is inferred from a history of `window` [s], so histories overlap, and the new graph
+    counts as `elapsed`/`window` of an observation: every moment is evidence once (docs/decisions/058).
+    """
+    if not isinstance(source, Inferred) or not source.smoothing:
+        return graph
+    stay = math.exp(-source.switching_rate * elapsed)
+    expected = stay * last.probs + (1 - stay) / last.logits.shape[-1]
+    logits = expected.clamp_min(1e-9).log() + min(elapsed / window, 1.0) * graph.logits.log_softmax(-1)
+    return replace(graph, logits=logits.log_softmax(-1))
 
 
 def _prescribed(source: GraphSource, rule: GroupRule) -> Mapping[tuple[int, int], EdgeType]:

@@ -98,13 +98,21 @@ class PolicyRunner:
         if time == self._decided_at:
             return
         self._decided_at = time
-        observed = self._channels.observed(torch.from_numpy(self._state)).flatten(0, 1).numpy()
+        observed = self._observed()
         if self._steps % self._every == 0:
             self._action_now = self._usable(self._of_own_view(self._action(observed, time)))
         action = self._channels.executed_action(self._action_now)
         self._commanded = self._next_state(action.numpy().astype(float))
         self._steps += 1
         self.pose = self._layout.pose(self._commanded)
+
+    def _observed(self) -> Float[np.ndarray, "V 3 D"]:
+        """The present states as the channels show them, in each view."""
+        return self._channels.observed(torch.from_numpy(self._state)).flatten(0, 1).numpy()
+
+    def states_for_policy(self) -> Float[Tensor, "V 3 D"]:
+        """What the policy would get now; after the end of a drive, the states in which it ended."""
+        return _relative(self._observed())
 
     def _action(self, observed: Float[np.ndarray, "V 3 D"], time: float) -> Float[Tensor, "V 3 A"]:
         """The policy's action in each view, from a new graph where it is time for one; 0 where the policy fails."""

@@ -71,10 +71,7 @@ def fork_and_send(function: Callable[[M], T]) -> tuple[Branch[T], Callable[[M], 
 def fork(function: Callable[[], T]) -> Branch[T]:
     """Run the function in a forked copy of this process; its result must be picklable."""
     read, write = os.pipe()
-    with warnings.catch_warnings():
-        # Python warns of forking beside threads; the copy runs SUMO and one-threaded torch only, and never returns.
-        warnings.simplefilter("ignore", DeprecationWarning)
-        pid = os.fork()
+    pid = plain_fork()
     if pid:
         os.close(write)
         return Branch(pid, read)
@@ -88,3 +85,11 @@ def fork(function: Callable[[], T]) -> Branch[T]:
             stream.write(answer)
     finally:
         os._exit(0)  # neither Python's nor SUMO's clean-up may run twice
+
+
+def plain_fork() -> int:
+    """`os.fork` for a process with SUMO and torch in it: 0 in the copy, which must end by `os._exit`."""
+    with warnings.catch_warnings():
+        # Python warns of forking beside threads; the copy runs SUMO and one-threaded torch only, and never returns.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        return os.fork()

@@ -68,13 +68,23 @@ class MergingDriver:
         target = torch.where(merged, yielding, target)
         safe = self._safe(distance, v, headway) & (target >= -self.safe_deceleration)
         desired_y = torch.where(merged | safe, torch.zeros_like(y), -self.width)
+        desired_yaw_rate = self.yaw_rate_to(desired_y, y, v, heading)
+        return torch.stack([target - a, desired_yaw_rate - yaw_rate], -1) / self.dt, memory
+
+    def yaw_rate_to(
+        self,
+        desired_y: Float[Tensor, "*batch"],
+        y: Float[Tensor, "*batch"],
+        v: Float[Tensor, "*batch"],
+        heading: Float[Tensor, "*batch"],
+    ) -> Float[Tensor, "*batch"]:
+        """The yaw rate [rad/s] that brings a vehicle to a lateral position [m]."""
         lateral = (min(self.lateral_gain, LATERAL_GAIN_PER_ACTION / self.dt) * (desired_y - y)).clamp(
             -self.lateral_speed, self.lateral_speed
         )
         desired_heading = torch.asin((lateral / v.clamp(min=1.0)).clamp(-0.9, 0.9))
         desired_heading = desired_heading.clamp(-self.greatest_heading, self.greatest_heading)
-        desired_yaw_rate = min(self.heading_gain, HEADING_GAIN_PER_ACTION / self.dt) * (desired_heading - heading)
-        return torch.stack([target - a, desired_yaw_rate - yaw_rate], -1) / self.dt, memory
+        return min(self.heading_gain, HEADING_GAIN_PER_ACTION / self.dt) * (desired_heading - heading)
 
     def _following(
         self, ahead: Float[Tensor, "B N N"], v: Float[Tensor, "B N"]

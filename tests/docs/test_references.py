@@ -15,9 +15,12 @@ OLD_NAMES = ROOT / "docs/decisions/016-rooms-and-names.md"  # a list of names th
 PAGES = sorted({*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), *ROOT.glob("sumo_nets/*/*.md")} - {OLD_NAMES})
 SOURCES = sorted([*ROOT.glob("gri/**/*.py"), *ROOT.glob("cosim/**/*.py")])
 
+ENVIRONMENT = r"(?!cosim/\w+-v\d)"  # names of environments, such as cosim/us101_merge-v1, are no paths
 FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
 LINK = re.compile(r"\]\(([^()\s]+)\)")
-PATH = re.compile(r"(?<![\w./-])(?:gri|cosim|tests|docs|scenarios|sumo_nets|benchmarks|\.ci)/[\w./*-]*[\w*/]")
+PATH = re.compile(
+    ENVIRONMENT + r"(?<![\w./-])(?:gri|cosim|tests|docs|scenarios|sumo_nets|benchmarks|\.ci)/[\w./*-]*[\w*/]"
+)
 MODULE = re.compile(r"(?<![\w./-])(?:gri|cosim)(?:\.[A-Za-z_]\w*)+")
 FILE = re.compile(r"(?<![\w./*<-])\w+\.py\b(?:::\w+)?")
 NOT_MODULES = {"gri.scenes"}  # a key of Parquet metadata

@@ -1,10 +1,13 @@
 """Who has the last word about the graph."""
 
+import math
+
+import pytest
 import torch
 
-from cosim.loop.graph_source import graph_from_source, keep_where_unknown
+from cosim.loop.graph_source import graph_from_source, keep_where_unknown, smoothed
 from cosim.spec.scenario import Enforced, GroundTruth, Inferred, Merge
-from gri.core.graph import LANE_CHANGING, EdgeType, InteractionGraph
+from gri.core.graph import FOLLOWING, LANE_CHANGING, EdgeType, InteractionGraph
 
 RULE = Merge(lane="weave_0", zone=(0.0, 10.0))
 INFERRED = InteractionGraph(torch.randn(2, 6, 4, generator=torch.Generator().manual_seed(1)), LANE_CHANGING)
@@ -40,3 +43,35 @@ def test_the_last_graph_is_kept_only_where_the_scene_is_unknown_and_the_source_s
     for scene in range(len(new)):
         wanted = last if float(new.unknown[scene]) > 1 else new
         assert torch.equal(kept.logits[scene], wanted.logits[scene])
+
+
+def following(p: float) -> InteractionGraph:
+    """One pair that follows with probability p."""
+    return InteractionGraph(torch.tensor([[[1 - p, p]]]).log(), FOLLOWING, candidates=((1, 0),))
+
+
+def test_one_step_of_the_chain_by_hand():
+    """Prior 0.9, of which 2 % changes in a second; a fifth of the evidence for 0.4."""
+    new = smoothed(following(0.4), following(0.9), Inferred(switching_rate=0.02), elapsed=1.0, window=5.0)
+    stay = math.exp(-0.02)
+    prior = stay * 0.9 + (1 - stay) / 2
+    odds = prior / (1 - prior) * (0.4 / 0.6) ** 0.2
+    assert float(new.probs[0, 0, 1]) == pytest.approx(odds / (1 + odds), abs=1e-6)
+
+
+def test_a_relation_that_is_not_visible_stays_and_one_that_is_refuted_goes():
+    def most_probable_after(seconds: int, p: float, first: float) -> int:
+        last = following(first)
+        for _ in range(seconds):
+            last = smoothed(following(p), last, Inferred(), elapsed=1.0, window=5.0)
+        return int(last.map)
+
+    assert most_probable_after(8, 0.4, first=0.95) == 1  # each inference alone says that nobody is followed
+    assert most_probable_after(6, 0.01, first=0.95) == 0
+    assert most_probable_after(6, 0.99, first=0.05) == 1  # and a new one appears
+
+
+def test_without_smoothing_and_with_prescribed_edges_the_new_graph_counts_alone():
+    new, last = following(0.4), following(0.9)
+    assert smoothed(new, last, Inferred(smoothing=False), 1.0, 5.0) is new
+    assert smoothed(new, last, Enforced(edges={"1->0": "follow"}), 1.0, 5.0) is new
