@@ -23,7 +23,8 @@ import msgspec
 import pandas as pd
 
 from cosim.runs.finished_run import read_manifest, verify_run
-from cosim.runs.run_reading import SHARE_TABLES, TABLES
+from cosim.runs.run_reading import TABLES
+from cosim.runs.share_reading import SHARE_TABLES
 from gri.errors import InputError, guarded_reading
 from gri.storage.claims import claimed_folder
 from gri.storage.verification import DamagedError, check_digest, digest, read_sealed, set_aside, write_sealed

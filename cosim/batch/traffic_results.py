@@ -4,6 +4,7 @@ A run is one value: seeds are independent, vehicles of one run are not.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -11,7 +12,7 @@ import pandas as pd
 from cosim.batch.result_listing import filtered
 from cosim.batch.store import BatchStore
 from cosim.measures.statistics import Estimate, mean
-from cosim.runs.run_reading import ALL
+from cosim.runs.share_reading import ALL
 from cosim.runs.share_summary import BY_NAME, Figure
 from gri.errors import InputError
 from gri.table import NBSP, Table
@@ -35,6 +36,7 @@ SHOWN = (
     "contacts",
     "misplaced",
 )
+MAY_BE_NEGATIVE = ("wave_speed", "capacity_drop")
 NOBODY = "nobody"  # the policy of runs in which no vehicle is driven
 
 
@@ -62,7 +64,8 @@ def estimate(rows: pd.DataFrame, name: str) -> Estimate:
     """The mean of a figure over runs with its 95 % interval over seeds; runs without a value are left out."""
     values = rows[name].to_numpy(dtype=float)
     known = np.isfinite(values)
-    return mean(values[known], rows["seed"].to_numpy()[known])
+    found = mean(values[known], rows["seed"].to_numpy()[known])
+    return found if name in MAY_BE_NEGATIVE else replace(found, low=float(np.maximum(found.low, 0)))
 
 
 def traffic_table(rows: pd.DataFrame, by: str) -> Table:

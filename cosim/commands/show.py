@@ -38,9 +38,7 @@ def report(
         from cosim.commands.share import show_share
 
         if episode is not None:
-            raise InputError(
-                f"--episode: {folder} is a run with a share of the traffic, without episodes; leave it out"
-            )
+            raise InputError(f"--episode: {folder} is a run with a share of the traffic and no episodes; leave it out")
         return show_share(folder, table_format)
     from cosim.runs.episode_figure import picture
     from cosim.runs.run_reading import read_tables

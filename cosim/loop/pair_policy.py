@@ -17,7 +17,8 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from cosim.spec.scenario import Enforced, GraphSource, GroundTruth, Inferred
+from cosim.loop.graph_source import keep_where_unknown, smoothed
+from cosim.spec.scenario import Enforced, GraphSource, GroundTruth
 from gri.core.graph import EdgeType, InteractionGraph, pairs
 from gri.core.policy import Policy, PolicyState
 from gri.core.trajectory import Trajectory
@@ -55,8 +56,11 @@ class PairPolicy(ABC):
         """Begin scenes anew. Returns which of them need `read` with their history at once."""
 
     @abstractmethod
-    def read(self, scenes: Int[np.ndarray, " P"], history: Trajectory) -> Inference | None:
-        """Read the histories of scenes; what was inferred from them, if the policy infers anything."""
+    def read(self, scenes: Int[np.ndarray, " P"], history: Trajectory, elapsed: float) -> Inference | None:
+        """Read the histories of scenes; the graphs that are used from now on, if the policy infers any.
+
+        `elapsed` [s] is the time between two inferences.
+        """
 
     @abstractmethod
     def act(self, scenes: Int[np.ndarray, " P"], state: Float[np.ndarray, "P 2 3"]) -> Float[np.ndarray, " P"]:
@@ -74,7 +78,7 @@ class PlainPairs(PairPolicy):
     def begin(self, scenes: Int[np.ndarray, " P"], capacity: int) -> Bool[np.ndarray, " P"]:
         return np.ones(len(scenes), dtype=bool)
 
-    def read(self, scenes: Int[np.ndarray, " P"], history: Trajectory) -> Inference | None:
+    def read(self, scenes: Int[np.ndarray, " P"], history: Trajectory, elapsed: float) -> Inference | None:
         new = self.policy.begin(history)
         again = set(scenes.tolist())
         kept = [scene for scene in self._row if scene not in again]
@@ -129,17 +133,15 @@ class RelationalPairs(PairPolicy):
         self._bind(scenes)
         return np.zeros(len(scenes), dtype=bool)
 
-    def read(self, scenes: Int[np.ndarray, " P"], history: Trajectory) -> Inference | None:
+    def read(self, scenes: Int[np.ndarray, " P"], history: Trajectory, elapsed: float) -> Inference | None:
         if not self._infers:
             return None
-        graph = self._model.infer(history.state)
-        found = _inference(scenes, graph)
-        usable = np.ones(len(scenes), dtype=bool)
-        if isinstance(self._source, Inferred) and self._source.when_unknown == "keep":
-            usable = ~(found.unknown > 1)
-        self._logits[scenes[usable]] = graph.logits.numpy()[usable]
+        last = InteractionGraph(torch.from_numpy(self._logits[scenes]), self._vocabulary)
+        graph, window = self._model.infer(history.state), self.history_steps * history.dt
+        graph = keep_where_unknown(smoothed(graph, last, self._source, elapsed, window), last, self._source)
+        self._logits[scenes] = graph.logits.numpy()
         self._bind(scenes[:0])
-        return found
+        return _inference(scenes, graph)
 
     def _bind(self, begun: Int[np.ndarray, " P"]) -> None:
         """Use the graphs as they are now; scenes that have `begun` forget their memory."""

@@ -83,6 +83,7 @@ class SpeedShare:
     graphs: list[GraphRow] = field(default_factory=list)
 
     def __post_init__(self) -> None:
+        self._tick = max(round(INFER_AT_MOST / self.dt), self.reinfer, 1)  # [steps] between two inferences
         self._scene: dict[str, int] = {}  # number of each vehicle's scene
         self._free: list[int] = []
         self._ahead = np.zeros(0, dtype=int)  # column of the vehicle ahead in the last step, by scene
@@ -175,7 +176,7 @@ class SpeedShare:
 
     def _infer(self, step: int, history: TrafficHistory, scene, own, ahead, gap) -> None:
         """Infer the graphs that are due, all at once: a call for many pairs costs little more than one for a few."""
-        if step % max(round(INFER_AT_MOST / self.dt), self.reinfer, 1):
+        if step % self._tick:
             return
         together = step - self._since[scene] >= self.policy.history_steps - 1
         due = np.flatnonzero(together & ((self._inferred[scene] == NOBODY) | (self.reinfer > 0)))
@@ -185,7 +186,7 @@ class SpeedShare:
     def _read(self, step: int, history: TrafficHistory, scene, own, ahead, gap) -> None:
         """Let the policy read the histories of scenes."""
         self._inferred[scene] = step
-        found = self.policy.read(scene, self._history(history, own, ahead, gap))
+        found = self.policy.read(scene, self._history(history, own, ahead, gap), self._tick * self.dt)
         if found is None:
             return
         self.counts.inferences += len(scene)

@@ -94,7 +94,7 @@ class TrafficRecorder:
     ) -> None:
         """Note contacts, lost vehicles and hard braking of one step."""
         time = report.time
-        for pair in report.collisions:
+        for pair in dict.fromkeys(tuple(sorted(pair)) for pair in report.collisions):
             if time - self._touching.get(pair, -REPEATED) >= REPEATED:
                 self.events.append(TrafficEvent(time, "contact", pair))
             self._touching[pair] = time

@@ -9,8 +9,6 @@ from cosim.runs.finished_run import read_manifest, verified_file
 from gri.errors import InputError, guarded_reading
 
 TABLES = ("steps", "groups", "counterparts", "events", "graphs")
-SHARE_TABLES = ("traffic", "vehicles", "space_time", "incidents", "pair_graphs")
-ALL = "all"  # the row of all vehicles in the tables of shares
 NEEDED = {
     "steps": ("episode", "driver", "time", "role", "vehicle", "present", "driven", "counterpart", "s", "d", "v", "a"),
     "groups": ("episode", "driver", "ending", "takeover_time"),

@@ -15,8 +15,8 @@ from cosim.loop.share_of_traffic import drive_shares
 from cosim.perturb.traffic_demand import perturbed_traffic
 from cosim.runs import run_tables
 from cosim.runs.finished_run import write_manifest
-from cosim.runs.run_reading import SHARE_TABLES
 from cosim.runs.share_policies import share_plans
+from cosim.runs.share_reading import SHARE_TABLES
 from cosim.runs.share_tables import share_tables
 from cosim.runs.space_time_figure import space_time_picture
 from cosim.spec.input_files import input_files

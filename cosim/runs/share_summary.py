@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from cosim.runs.run_reading import ALL
+from cosim.runs.share_reading import ALL
 from cosim.runs.summary import driver_name
 from gri.table import Table
 

@@ -1,7 +1,6 @@
 """Tables of a run in which policies drive shares of the traffic (columns and units: docs/reference/run-tables.md)."""
 
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -17,9 +16,7 @@ from cosim.measures.traffic_measures import (
     space_time,
     vehicles_table,
 )
-from cosim.runs.finished_run import verified_file
-from cosim.runs.run_reading import ALL, SHARE_TABLES
-from gri.errors import InputError, guarded_reading
+from cosim.runs.share_reading import ALL
 
 KINDS = ("contact", "misplaced", "stuck")  # of events that are counted
 
@@ -104,20 +101,3 @@ def _graphs(outcome: ShareOutcome) -> pd.DataFrame:
     ]
     columns = ["driver", "time", "sender", "receiver", "follows", "unknown"]
     return pd.DataFrame(rows, columns=columns).astype({"time": float, "follows": float, "unknown": float})
-
-
-def is_share_run(folder: Path) -> bool:
-    """Whether a run folder is that of a run with shares."""
-    return (folder / "traffic.parquet").is_file()
-
-
-def read_share_tables(folder: Path) -> dict[str, pd.DataFrame]:
-    """The tables of a run folder with shares. Raises `InputError` where one is missing or damaged."""
-    tables = {}
-    for name in SHARE_TABLES:
-        if not (folder / f"{name}.parquet").is_file():
-            raise InputError(f"{folder}: no {name}.parquet in it; expected a run with a share, written by `cosim run`")
-        path = verified_file(folder, f"{name}.parquet")
-        with guarded_reading(path, "table of a run", "run the scenario again"):
-            tables[name] = pd.read_parquet(path)
-    return tables

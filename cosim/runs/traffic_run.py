@@ -12,8 +12,8 @@ import pandas as pd
 from cosim.process.worker_process import run_in_worker
 from cosim.runs.finished_run import has_file, read_manifest, verified_file
 from cosim.runs.run_folder import next_folder, run_folder
+from cosim.runs.share_reading import read_share_tables
 from cosim.runs.share_summary import summary_table
-from cosim.runs.share_tables import read_share_tables
 from cosim.spec.input_files import refuse_foreign_code
 from cosim.spec.loading import changed, find_file, load_scenario, override
 from cosim.spec.scenario import Scenario

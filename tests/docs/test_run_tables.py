@@ -11,6 +11,7 @@ import pytest
 from cosim.batch.run_matrix import Cell
 from cosim.perturb.effects import Effect, effects_table
 from cosim.runs.run_tables import events_table, graphs_table, groups_table, steps_table
+from cosim.runs.share_summary import FIGURES
 from cosim.runs.surroundings_table import read_surroundings, write_surroundings
 from cosim.stress.estimates import counts, differences, estimates
 from cosim.world.episode import COLUMNS, Ending, Episode, EventKind
@@ -90,3 +91,11 @@ def test_the_tables_of_a_stress_test():
     assert named("`counts.parquet`") == list(counts(few).columns)
     assert named("`estimates.parquet`") == list(estimates(few).columns)
     assert named("`differences.parquet`") == list(differences(few).columns)
+
+
+def test_the_figures_of_a_share_of_the_traffic_are_listed() -> None:
+    table = TEXT[TEXT.index("`traffic.parquet`: one row for all") : TEXT.index("`vehicles.parquet`: one row")]
+    listed = set(
+        re.findall(r"`([\w.]+)`", "".join(line.split("|")[1] for line in table.splitlines() if line[:1] == "|"))
+    )
+    assert listed == {"driver", "share"} | {figure.name for figure in FIGURES}

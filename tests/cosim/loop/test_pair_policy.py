@@ -41,11 +41,23 @@ def test_a_new_pair_is_followed_and_driven_as_the_model_drives_it_alone() -> Non
 def test_after_an_inference_the_pair_is_driven_under_the_inferred_graph() -> None:
     pairs = RelationalPairs(MODEL, Inferred())
     pairs.begin(np.array([0, 1]), 32)
-    found = pairs.read(np.array([0, 1]), history(MODEL.history_steps))
+    found = pairs.read(np.array([0, 1]), history(MODEL.history_steps), 5.0)
     assert found is not None
     expected = [alone(EdgeType.FOLLOW if p >= 0.5 else EdgeType.NONE)[k] for k, p in enumerate(found.follows)]
     np.testing.assert_allclose(pairs.act(np.array([0, 1]), STATES), expected, rtol=1e-5)
     assert abs(alone(EdgeType.FOLLOW)[0] - alone(EdgeType.NONE)[0]) > 0.01  # the edge matters
+
+
+@torch.inference_mode()
+def test_an_inference_is_evidence_for_the_last_graph_unless_smoothing_is_off() -> None:
+    def follows(source: Inferred) -> float:
+        pairs = RelationalPairs(MODEL, source)
+        pairs.begin(np.array([0, 1]), 32)
+        found = pairs.read(np.array([0, 1]), history(MODEL.history_steps), 5.0)
+        assert found is not None
+        return found.follows.min()
+
+    assert follows(Inferred()) > follows(Inferred(smoothing=False))
 
 
 @torch.inference_mode()
@@ -57,7 +69,7 @@ def test_a_prescribed_graph_is_never_inferred() -> None:
     ):
         pairs = RelationalPairs(MODEL, source)
         pairs.begin(np.array([0, 1]), 32)
-        assert pairs.read(np.array([0, 1]), history(MODEL.history_steps)) is None
+        assert pairs.read(np.array([0, 1]), history(MODEL.history_steps), 5.0) is None
         np.testing.assert_allclose(pairs.act(np.array([0, 1]), STATES), alone(edge), rtol=1e-5)
 
 
@@ -74,8 +86,8 @@ def test_plain_policies_keep_the_state_of_each_scene() -> None:
             return -later.memory, later
 
     pairs = PlainPairs(Counting(0.2))
-    pairs.read(np.array([7, 3]), history(1))
+    pairs.read(np.array([7, 3]), history(1), 1.0)
     assert pairs.act(np.array([7, 3]), STATES).tolist() == [-1.0, -1.0]
     assert pairs.act(np.array([3]), STATES[:1]).tolist() == [-2.0]
-    pairs.read(np.array([9]), Trajectory.complete(history(1).state[:1], 0.2))
+    pairs.read(np.array([9]), Trajectory.complete(history(1).state[:1], 0.2), 1.0)
     assert pairs.act(np.array([9, 3]), STATES).tolist() == [-1.0, -3.0]

@@ -6,8 +6,8 @@ import pytest
 import yaml
 
 import cosim
-from cosim.runs.run_reading import SHARE_TABLES
 from cosim.runs.share_policies import share_plans
+from cosim.runs.share_reading import SHARE_TABLES
 from cosim.spec.loading import load_scenario, override
 from gri.table import terminal_text
 from tests.cosim.runs.test_own_files import folder as folder
