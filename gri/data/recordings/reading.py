@@ -57,7 +57,7 @@ def open_recordings(
     """
     options = options or ReadingOptions()
     inside = members(path)
-    layout = find_layout(path, inside, options)
+    layout, inside = find_layout(path, inside, options)
     if layout.read is None:
         store = store_recordings(path, folder, options.site, progress)
         notes = []
@@ -67,7 +67,7 @@ def open_recordings(
     found: list[Recording] = []
     result = Recordings(found, layout.name)
     for done, part in enumerate(layout.read(inside, options, result.notes)):
-        progress(f"reading {path.name}", done + 1, 0, float(len(part.table)))
+        progress(f"reading {path.name}", done + 1, max(done + 1, len(inside)), float(len(part.table)))
         for name, table in _on_road(part, options, result.notes):
             found += _recordings(name, table, options.site or _site(path), result)
     if not found:
