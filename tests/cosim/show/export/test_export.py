@@ -90,6 +90,14 @@ def test_commonroad_has_lanelets_and_an_obstacle_for_every_track(moving: MovingV
     assert float(left.text) > float(right.text)
 
 
+def test_commonroad_io_reads_the_file(moving: MovingVehicles, tmp_path: Path):
+    reader = pytest.importorskip("commonroad.common.file_reader", reason="commonroad-io is not installed")
+    write_commonroad(moving, tmp_path / "a.xml")
+    scenario, _ = reader.CommonRoadFileReader(str(tmp_path / "a.xml")).open()
+    assert (scenario.dt, len(scenario.dynamic_obstacles)) == (STEP, 4)
+    assert len(scenario.lanelet_network.lanelets) == len(net_lanes("us101"))
+
+
 def test_vehicles_of_a_run_folder(tables, tmp_path: Path):
     for name in TABLES:
         table = tables[name].assign(vehicle="") if name == "steps" else tables[name]
