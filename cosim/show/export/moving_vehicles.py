@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from cosim.runs.run_tables import read_json, read_tables
+from cosim.runs.run_reading import read_json, read_tables
 from cosim.runs.surroundings_table import read_surroundings
 from cosim.spec.scenario import Scenario
 from gri.errors import InputError

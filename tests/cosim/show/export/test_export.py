@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from cosim.runs.run_tables import NEEDED, TABLES
+from cosim.runs.run_reading import NEEDED, TABLES
 from cosim.show.export.commonroad import write_commonroad
 from cosim.show.export.fcd import fcd, vehicle_types
 from cosim.show.export.moving_vehicles import MovingVehicles, vehicles_of
