@@ -21,6 +21,7 @@ from cosim.commands.arguments import (
 from cosim.commands.batch import batch, results
 from cosim.commands.check import check
 from cosim.commands.cutin_grid import cutin_grid
+from cosim.commands.export import export
 from cosim.commands.new import new
 from cosim.commands.realism import realism
 from cosim.commands.scenes import scenes
@@ -156,6 +157,7 @@ for _command in (
     report,
     explain,
     render,
+    export,
     gui,
     traffic,
     calibrate,

@@ -22,7 +22,6 @@ from cosim.world.road_frame import RoadFrame
 from gri.data.ngsim.columns import FRAME
 from gri.data.ngsim.defects import clean
 from gri.data.ngsim.smoothing import Motion, Smoothing, smoothed
-from gri.data.recordings.reading import recordings_of
 from gri.data.recordings.table import CLASSES
 from gri.errors import InputError
 
@@ -67,6 +66,8 @@ def read_tracks(background: Replay, step: float) -> tuple[RecordedTrack, ...]:
 
     Raises InputError where there is no such file, or it lacks lateral positions or sizes.
     """
+    from gri.data.recordings.reading import recordings_of  # it brings scipy, which only a replay needs
+
     path = recording_path(background)
     found: list[RecordedTrack] = []
     begin = step

@@ -40,11 +40,13 @@ from gri import checkpoint
 from gri.core.dynamics import POINT_MASS_1D
 from gri.core.graph import FOLLOWING
 from gri.data.ngsim.reading import read_chunks
+from gri.data.recordings.reading import recordings_of
 from gri.data.scene_file.reading import read, scene_counts
 from gri.errors import InputError
 from gri.resources import shipped
 from gri.training.train import read_train_config
 from tests.fuzz import folders
+from tests.gri.data.recordings import layout_files
 
 SECONDS, MEGABYTES = 10.0, 1500.0  # per input
 Mutate = Callable[[random.Random, bytes], bytes]
@@ -401,6 +403,25 @@ def _read_recording(path: Path) -> Any:
     return [len(chunk) for chunk in read_chunks(path)]
 
 
+@cache
+def _layouts() -> tuple[bytes, ...]:
+    """A recording of a few vehicles in the layouts that are one file."""
+    traffic = layout_files.traffic(30)
+    with tempfile.TemporaryDirectory() as folder:
+        writers = (
+            layout_files.tidy,
+            layout_files.tgsim,
+            layout_files.interaction,
+            layout_files.i24,
+            layout_files.highd,
+        )
+        return tuple(write(traffic, Path(folder, str(k))).read_bytes() for k, write in enumerate(writers))
+
+
+def _read_layout(path: Path) -> Any:
+    return [recording.rows[name] for recording in recordings_of(path) for name in ("x", "y", "speed", "length")]
+
+
 def _stress_options(path: Path) -> Any:
     words = path.read_bytes().decode("utf-8", "replace").split("|")[:3]
     scenario = load_scenario("us101_car_following")
@@ -443,6 +464,7 @@ DOORS = (
     Door("checkpoint", ".safetensors", _checkpoints, _read_checkpoint, (repacked, *BYTES)),
     Door("scene file", ".parquet", _scenes, _read_scenes, (table, *BYTES)),
     Door("recording", ".txt", _recording, _read_recording, (packed, *BYTES)),
+    Door("recording of any layout", ".csv", _layouts, _read_layout, BYTES),
     Door("stress options", ".txt", _stress, _stress_options, BYTES),
     Door("run folder", ".zip", folders.good_run, folders.read_run, folders.inside(BYTES, table)),
     Door("batch folder", ".zip", folders.good_batch, folders.read_batch, folders.inside(BYTES, table)),

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from gri.data.recordings.files import Member
-from gri.data.recordings.highd import recording_meta
+from gri.data.recordings.highd import beside, recording_meta
 from gri.data.recordings.names import plain
 from gri.data.recordings.parts import Part, ReadingOptions
 from gri.data.recordings.text_tables import read_text
@@ -23,26 +23,30 @@ LANE = "laneletid"
 
 def read(inside: Sequence[Member], options: ReadingOptions, notes: list[str]) -> Iterator[Part]:
     """One part per recording."""
-    tracks = [member for member in inside if member.name.lower().endswith("_tracks.csv")]
+    tracks = [member for member in inside if member.name.lower().endswith("_tracks.csv") or len(inside) == 1]
     if not tracks:
         raise InputError(
             f"{inside[0]}: got no file NN_tracks.csv, wanted at least one; give the folder or a file of it"
         )
     for member in tracks:
-        rows = read_text(member, (*NUMBERS, *OPTIONAL), plain, (*NUMBERS, *OPTIONAL, "recordingid", LANE))
+        rows = read_text(
+            member, (*NUMBERS, *OPTIONAL, "recordingid"), plain, (*NUMBERS, *OPTIONAL, "recordingid", LANE)
+        )
         if missing := [name for name in NUMBERS if name not in rows]:
             raise InputError(f"{member}: column {missing[0]} of exiD's tracks is missing; download the file again")
         rate, _ = recording_meta(member, notes)
-        beside = member.sibling(member.name.replace("_tracks", "_tracksMeta"))
+        file = beside(member, "tracksMeta")
         kinds = None
-        if beside.exists():
-            meta = read_text(beside, ("trackid",), plain, ("trackid", "class")).set_index("trackid")
+        if file.exists():
+            meta = read_text(file, ("trackid",), plain, ("trackid", "class")).set_index("trackid")
             kinds = rows["trackid"].map(meta["class"]) if "class" in meta else None
         table = pd.DataFrame(
             {
-                "recording": rows["recordingid"].astype(int).astype(str) if "recordingid" in rows else member.stem,
+                "recording": rows["recordingid"].fillna(0).astype(int).astype(str)
+                if "recordingid" in rows
+                else member.stem,
                 "time_s": rows["frame"] / rate,
-                "vehicle_id": rows["trackid"].astype(int),
+                "vehicle_id": rows["trackid"],
                 "x_m": rows["xcenter"],
                 "y_m": rows["ycenter"],
                 "heading_rad": np.radians(rows["heading"]),

@@ -24,7 +24,7 @@ RATE = 25.0  # [1/s] of all published recordings
 
 def read(inside: Sequence[Member], options: ReadingOptions, notes: list[str]) -> Iterator[Part]:
     """One part per recording and direction."""
-    tracks = [member for member in inside if member.name.lower().endswith("_tracks.csv")]
+    tracks = [member for member in inside if member.name.lower().endswith("_tracks.csv") or len(inside) == 1]
     if not tracks:
         raise InputError(
             f"{inside[0]}: got no file NN_tracks.csv, wanted at least one; give the folder or a file of it"
@@ -38,29 +38,30 @@ def read(inside: Sequence[Member], options: ReadingOptions, notes: list[str]) ->
         yield from (_direction(rows, member, way, rate, upper) for way in (1, 2) if (rows["way"] == way).any())
 
 
-def _beside(member: Member, kind: str) -> Member:
-    return member.sibling(member.name.replace("_tracks", f"_{kind}"))
+def beside(member: Member, kind: str) -> Member:
+    """The file of metadata beside a file of tracks; it need not exist."""
+    return member.sibling(f"{member.stem.removesuffix('_tracks')}_{kind}.csv")
 
 
 def recording_meta(member: Member, notes: list[str]) -> tuple[float, int | None]:
     """The frame rate [1/s] and the number of lanes of the upper carriageway (None: not known)."""
-    beside = _beside(member, "recordingMeta")
-    if not beside.exists():
-        notes.append(f"{member}: no file {beside.name} beside it; {RATE:g} frames per second are assumed")
+    file = beside(member, "recordingMeta")
+    if not file.exists():
+        notes.append(f"{member}: no file {file.name} beside it; {RATE:g} frames per second are assumed")
         return RATE, None
-    meta = read_text(beside, ("framerate",), plain)
+    meta = read_text(file, ("framerate",), plain)
     rate = float(meta["framerate"].iloc[0]) if "framerate" in meta else RATE
     if not 1 <= rate <= 1000:
-        raise InputError(f"{beside}:2: column frameRate: got {rate:g}, wanted 1 to 1000 frames per second")
+        raise InputError(f"{file}:2: column frameRate: got {rate:g}, wanted 1 to 1000 frames per second")
     upper = meta["upperlanemarkings"].iloc[0] if "upperlanemarkings" in meta else None
     return rate, None if upper is None or pd.isna(upper) else len(str(upper).strip("; ").split(";")) - 1
 
 
 def _with_vehicles(rows: pd.DataFrame, member: Member) -> pd.DataFrame:
     """The rows with `way` (1: to the left, 2: to the right) and `class`."""
-    beside = _beside(member, "tracksMeta")
-    if beside.exists():
-        meta = read_text(beside, ("id", "drivingdirection"), plain, ("id", "drivingdirection", "class")).set_index("id")
+    file = beside(member, "tracksMeta")
+    if file.exists():
+        meta = read_text(file, ("id", "drivingdirection"), plain, ("id", "drivingdirection", "class")).set_index("id")
         rows = rows.assign(**{name: rows["id"].map(meta[name]) for name in meta.columns})
     towards = np.where(rows.groupby("id")["xvelocity"].transform("mean") < 0, 1.0, 2.0)
     way = rows["drivingdirection"].fillna(pd.Series(towards, rows.index)) if "drivingdirection" in rows else towards
@@ -84,7 +85,7 @@ def _direction(rows: pd.DataFrame, member: Member, way: int, rate: float, upper:
         {
             "recording": f"{member.stem.removesuffix('_tracks')}-{way}",
             "time_s": rows["frame"] / rate,
-            "vehicle_id": rows["id"].astype(int),
+            "vehicle_id": rows["id"],
             "lane": lane.clip(lower=0),
             "s_m": front,
             "d_m": -sign * middle,

@@ -29,7 +29,7 @@ def read(inside: Sequence[Member], options: ReadingOptions, notes: list[str]) ->
                 f"{member}: column {missing[0]} of INTERACTION's tracks is missing; download the file again"
             )
         name = member.stem.rpartition("_")[2] if len(files) > 1 else ""
-        cases = rows["caseid"].astype(int).astype(str) if "caseid" in rows else pd.Series("", rows.index)
+        cases = rows["caseid"].fillna(0).astype(int).astype(str) if "caseid" in rows else pd.Series("", rows.index)
         table = pd.DataFrame(
             {
                 "recording": [f"{name}-{case}".strip("-") for case in cases],

@@ -50,25 +50,32 @@ NAMES = tuple(layout.name for layout in LAYOUTS)
 _META = ("tracksMeta", "recordingMeta", "_landmarks", "pedestrian_tracks", "README")  # files beside the tracks
 
 
-def find_layout(path: Path, inside: Sequence[Member], options: ReadingOptions) -> Layout:
-    """The layout of the files of a path. Errors: `InputError` if it is unknown, or files have several layouts."""
+def find_layout(path: Path, inside: Sequence[Member], options: ReadingOptions) -> tuple[Layout, Sequence[Member]]:
+    """The layout of a path, and its files in that layout: those of the layout of the first file that has a known one.
+
+    Errors: `InputError` if no file has a known layout.
+    """
+    by_name = {layout.name: layout for layout in LAYOUTS}
     if options.layout is not None:
-        for layout in LAYOUTS:
-            if layout.name == options.layout:
-                return layout
-        raise InputError(f"--layout: got {options.layout}, wanted one of {', '.join(NAMES)}")
+        if options.layout not in by_name:
+            raise InputError(f"--layout: got {options.layout}, wanted one of {', '.join(NAMES)}")
+        return by_name[options.layout], inside
     if options.columns:
-        return LAYOUTS[-1]
+        return by_name["tidy"], inside
+    if len(inside) > 1 and any(member.name in run_folder.FILES for member in inside):
+        return by_name["run"], inside
     seen: dict[str, tuple[str, ...]] = {}
+    found: dict[str, list[Member]] = {}
     for member in inside:
-        if any(word in member.name for word in _META):
+        if len(inside) > 1 and any(word in member.name for word in _META):
             continue
         columns = columns_of(member)
         names = {plain(name) for name in columns}
-        for layout in LAYOUTS:
-            if layout.columns <= names:
-                return layout
+        if known := next((layout for layout in LAYOUTS if layout.columns <= names), None):
+            found.setdefault(known.name, []).append(member)
         seen[str(member)] = columns
+    for name, chosen in found.items():
+        return by_name[name], chosen
     first = list(seen.items())[:2]
     shown = "; ".join(f"{name} has {', '.join(columns[:8]) or 'no columns'}" for name, columns in first)
     raise InputError(

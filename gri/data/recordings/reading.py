@@ -23,7 +23,7 @@ from gri.data.recordings.layouts import find_layout
 from gri.data.recordings.parts import Part, Point, ReadingOptions
 from gri.data.recordings.road_axis import estimated_axis, given_axis, on_roads
 from gri.data.recordings.table import CLASSES, NO_VEHICLES, checked
-from gri.errors import InputError
+from gri.errors import InputError, guarded_reading
 from gri.progress import Progress, no_progress
 
 FARTHEST = 16_000.0
@@ -57,7 +57,7 @@ def open_recordings(
     """
     options = options or ReadingOptions()
     inside = members(path)
-    layout = find_layout(path, inside, options)
+    layout, inside = find_layout(path, inside, options)
     if layout.read is None:
         store = store_recordings(path, folder, options.site, progress)
         notes = []
@@ -66,10 +66,11 @@ def open_recordings(
         return Recordings(store, layout.name, store.unreadable, notes)
     found: list[Recording] = []
     result = Recordings(found, layout.name)
-    for done, part in enumerate(layout.read(inside, options, result.notes)):
-        progress(f"reading {path.name}", done + 1, 0, float(len(part.table)))
-        for name, table in _on_road(part, options, result.notes):
-            found += _recordings(name, table, options.site or _site(path), result)
+    with guarded_reading(path, f"recording in the layout {layout.name}", "correct the file, or give --layout"):
+        for done, part in enumerate(layout.read(inside, options, result.notes)):
+            progress(f"reading {path.name}", done + 1, max(done + 1, len(inside)), float(len(part.table)))
+            for name, table in _on_road(part, options, result.notes):
+                found += _recordings(name, table, options.site or _site(path), result)
     if not found:
         raise InputError(f"{path}: has no rows of vehicles on a road; give a recording")
     return result
@@ -92,10 +93,12 @@ def _on_road(part: Part, options: ReadingOptions, notes: list[str]) -> Iterator[
         return
     table = part.table.dropna(subset=["time_s", "vehicle_id", "x_m", "y_m"])
     table = table.sort_values("time_s", kind="stable")
+    path = table["vehicle_id"].astype(str)
+    table = table.assign(path=table["recording"].astype(str) + "/" + path if "recording" in table else path)
     if options.axis:
         axis = given_axis(options.axis)
     else:
-        axis = estimated_axis(table)
+        axis = estimated_axis(table, part.name)
         angle = np.degrees(np.arctan2(axis.direction[1], axis.direction[0]))
         shape = "a curve" if axis.bend else "a straight line"
         notes.append(f"{part.name}: the road's axis is {shape} at {angle:.1f}°, estimated from the paths (see --axis)")

@@ -68,15 +68,16 @@ def given_axis(points: tuple[float, float, float, float]) -> Axis:
     return Axis((x0, y0), ((x1 - x0) / length, (y1 - y0) / length))
 
 
-def estimated_axis(table: pd.DataFrame) -> Axis:
-    """The axis of the paths of a table with `vehicle_id`, `x_m` and `y_m`, in the direction of most vehicles.
+def estimated_axis(table: pd.DataFrame, where: str) -> Axis:
+    """The axis of the paths of a table with `path` (a name), `x_m` and `y_m`, in the direction of most vehicles.
 
     Errors: `InputError` if no vehicle travels.
     """
     travelled = _displacements(table)
     if not (travelled.abs() >= LEAST_PATH).any():
         raise InputError(
-            f"no vehicle travels {LEAST_PATH:g} m, so the direction of the road is not known; give --axis X0 Y0 X1 Y1"
+            f"{where}: no vehicle travels {LEAST_PATH:g} m, so the direction of the road is not known; give"
+            " --axis X0 Y0 X1 Y1"
         )
     doubled = np.angle((travelled**2).sum()) / 2  # opposite directions are one axis
     unit = np.exp(1j * doubled)
@@ -87,19 +88,19 @@ def estimated_axis(table: pd.DataFrame) -> Axis:
     chosen = table.iloc[:: max(1, len(table) // SAMPLES)]
     u, v = rough.to_road(chosen["x_m"].to_numpy(), chosen["y_m"].to_numpy())
     ends = float(u.min()), float(u.max())
-    bend = _refined(_common_shape(chosen["vehicle_id"], u, v, DEGREE), chosen["vehicle_id"], u, v, ends)
+    bend = _refined(_common_shape(chosen["path"], u, v, DEGREE), chosen["path"], u, v, ends)
     inside = np.linspace(*ends, 50)
     chord = np.polyval(np.polyfit(inside, np.polyval(bend, inside), 1), inside)
     if np.abs(np.polyval(bend, inside) - chord).max() > STRAIGHT:
         return Axis(origin, rough.direction, tuple(bend), *ends)
-    turned = np.exp(1j * np.arctan(_common_shape(chosen["vehicle_id"], u, v, 1)[0])) * unit
+    turned = np.exp(1j * np.arctan(_common_shape(chosen["path"], u, v, 1)[0])) * unit
     start = complex(*origin) + ends[0] * turned
     return Axis((float(start.real), float(start.imag)), (float(turned.real), float(turned.imag)))
 
 
 def _displacements(table: pd.DataFrame) -> pd.Series:
     """From the first to the last position of each vehicle, as complex numbers [m]."""
-    ends = table.groupby("vehicle_id", sort=False)[["x_m", "y_m"]].agg(["first", "last"])
+    ends = table.groupby("path", sort=False)[["x_m", "y_m"]].agg(["first", "last"])
     along, aside = (ends[name, "last"] - ends[name, "first"] for name in ("x_m", "y_m"))
     return along + 1j * aside
 
@@ -138,20 +139,20 @@ def on_roads(table: pd.DataFrame, axis: Axis, notes: list[str]) -> Iterator[tupl
     """
     s, d = axis.to_road(table["x_m"].to_numpy(), table["y_m"].to_numpy())
     placed = table.assign(s_m=s, d_m=d)
-    path = placed.groupby("vehicle_id", sort=False)[["s_m", "d_m"]].agg(["first", "last"])
+    path = placed.groupby("path", sort=False)[["s_m", "d_m"]].agg(["first", "last"])
     along, aside = (path[name, "last"] - path[name, "first"] for name in ("s_m", "d_m"))
     angle = np.degrees(np.arctan2(aside.abs(), along.abs()))
     moving = np.hypot(along, aside) >= LEAST_PATH
     way = pd.Series(np.sign(along), along.index).where(moving, 0.0)
     if "heading_rad" in placed:
         turned = placed["heading_rad"] - np.arctan2(axis.direction[1], axis.direction[0])
-        facing = np.sign(np.cos(turned).groupby(placed["vehicle_id"], sort=False).mean())
+        facing = np.sign(np.cos(turned).groupby(placed["path"], sort=False).mean())
         way = way.where(moving, facing.reindex(way.index).fillna(0.0))
     way = way.where(way != 0, np.sign(along.sum()) or 1.0)
     across = moving & (angle > ACROSS)
     if across.any():
         notes.append(f"{int(across.sum())} vehicles that drive across the road are left out")
-    sides = placed["vehicle_id"].map(way.where(~across))
+    sides = placed["path"].map(way.where(~across))
     for suffix, sign in (("", 1.0), ("against", -1.0)):
         part = placed[sides == sign]
         if not len(part):

@@ -76,7 +76,7 @@ def make_scenes(
     rules.
     """
     notes: list[str] = []
-    layouts = sorted({find_layout(path, members(path), options).name for path in paths})
+    layouts = sorted({find_layout(path, members(path), options)[0].name for path in paths})
     if len(layouts) > 1:
         raise InputError(f"got files of several layouts ({', '.join(layouts)}), wanted one; make a scene file of each")
     if layouts != ["ngsim"]:

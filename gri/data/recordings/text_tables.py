@@ -100,8 +100,13 @@ def read_text(
         table = _parsed(member, replace(found, encoding="cp1252"), canonical, wanted)
     if not len(table):
         raise InputError(f"{member}: has no rows; {FIX}")
+    shown = {canonical(name): name for name in found.columns}
     return table.assign(
-        **{name: as_numbers(table[name], member, found.decimal) for name in table.columns if name in numbers}
+        **{
+            name: as_numbers(table[name].rename(shown.get(name, name)), member, found.decimal)
+            for name in table.columns
+            if name in numbers
+        }
     )
 
 

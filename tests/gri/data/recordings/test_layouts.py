@@ -69,6 +69,8 @@ def test_both_carriageways_of_highd_are_seen_in_driving_direction(tmp_path: Path
     table = traffic()
     path = layout_files.highd(table, tmp_path / "lower")
     lower = pd.read_csv(path)
+    lower["width"] += 2.0 * (lower["id"] % 2)  # lengths differ, so that the front bumper is not any corner
+    lower.to_csv(path, index=False)
     upper = lower.assign(
         x=-(lower["x"] + lower["width"]), y=-(lower["y"] + lower["height"]), xVelocity=-lower["xVelocity"],
         laneId=11 - lower["laneId"],

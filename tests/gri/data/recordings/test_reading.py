@@ -216,12 +216,12 @@ def _ring(radius: float = 800.0) -> pd.DataFrame:
         r = radius - offset
         parts.append(pd.DataFrame({"vehicle_id": k, "time_s": np.arange(0, 30, 0.1), "s": s, "d": offset,
                                    "x_m": r * np.sin(angle) + 500, "y_m": -r * np.cos(angle) - 90}))  # fmt: skip
-    return pd.concat(parts, ignore_index=True)
+    return pd.concat(parts, ignore_index=True).assign(path=lambda t: t["vehicle_id"].astype(str))
 
 
 def test_the_axis_of_a_bend_is_found_and_both_directions_are_roads_of_their_own():
     table = _ring()
-    axis = estimated_axis(table)
+    axis = estimated_axis(table, "here")
     assert axis.bend
     notes: list[str] = []
     roads = dict(on_roads(table, axis, notes))
@@ -249,3 +249,14 @@ def test_notes_tell_what_was_assumed(tmp_path: Path):
     text = " ".join(found.notes)
     assert re.search(r"the road's axis is a straight line at -?[0-9.]+°, estimated", text)
     assert "4 lanes, estimated from lateral positions" in text
+
+
+def test_cases_of_interaction_have_vehicles_of_the_same_number(tmp_path: Path):
+    """A vehicle of one case drives one way, the vehicle of the same number in another case the other way."""
+    path = layout_files.interaction(traffic(40), tmp_path)
+    first = pd.read_csv(path)
+    second = first.assign(x=500 - first["x"], y=-30 - first["y"], vx=-first["vx"], psi_rad=np.pi)
+    pd.concat([first.assign(case_id=1.0), second.assign(case_id=2.0)]).to_csv(path, index=False)
+    found = open_recordings(path, tmp_path, ReadingOptions(axis=(0.0, 0.0, 1.0, 0.0), lane_edges=layout_files.EDGES))
+    assert [recording.label for recording in found] == ["1", "2-against"]
+    assert len({len(recording.rows) for recording in found}) == 1

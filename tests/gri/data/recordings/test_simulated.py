@@ -94,6 +94,19 @@ def test_other_steps_are_interpolated(step: float, tmp_path: Path):
     np.testing.assert_allclose(np.diff(rows["y"]) * 0.3048, 1.0, atol=1e-3)
 
 
+def test_positions_between_coarse_steps_are_smooth(tmp_path: Path):
+    """At 1 m/s² and steps of 1 s, straight lines would be up to 0.125 m off."""
+    table = fcd(1.0, 20.0)
+    first = table.groupby("vehicle_id")["vehicle_y"].transform("first")
+    table["vehicle_y"] = first + 5 * table["timestep_time"] + 0.5 * table["timestep_time"] ** 2
+    table["vehicle_speed"] = 5 + table["timestep_time"]
+    table.to_parquet(tmp_path / "fcd.parquet")
+    (recording,) = recordings_of(tmp_path / "fcd.parquet")
+    rows = recording.rows[recording.rows["vehicle"] == 1]
+    time = rows["frame"] * 0.1
+    np.testing.assert_allclose(rows["y"] * 0.3048, 5 * time + 0.5 * time**2, atol=0.02)
+
+
 def test_geographic_output_and_files_without_types_are_one_line(tmp_path: Path):
     (tmp_path / "a.csv").write_text("timestep_time;vehicle_id;vehicle_lane\n0;1;e_0\n")
     with pytest.raises(InputError, match="vehicle_x is missing; write the output again with x and y"):
