@@ -183,16 +183,16 @@ def layout_of(
     return PlanarLayout(offsets, target, road, side, lines, ramp)
 
 
-def _driven(lines: tuple[LaneLine, ...] | None, s: Float[np.ndarray, "G 3"]) -> Float[np.ndarray, "G 3"]:
+def _driven(lines: tuple[LaneLine, ...] | None, s: Float[np.ndarray, "G R"]) -> Float[np.ndarray, "G R"]:
     """The distance along the line of each group."""
     return s if lines is None else np.stack([line.driven(of) for line, of in zip(lines, s, strict=True)])
 
 
-def _s_at(lines: tuple[LaneLine, ...] | None, distance: Float[np.ndarray, "G 3"]) -> Float[np.ndarray, "G 3"]:
+def _s_at(lines: tuple[LaneLine, ...] | None, distance: Float[np.ndarray, "G R"]) -> Float[np.ndarray, "G R"]:
     """s [m] at a distance along the line of each group."""
     return distance if lines is None else np.stack([line.s_at(of) for line, of in zip(lines, distance, strict=True)])
 
 
-def _wrapped(angle: Float[np.ndarray, "G 3"]) -> Float[np.ndarray, "G 3"]:
+def _wrapped(angle: Float[np.ndarray, "G R"]) -> Float[np.ndarray, "G R"]:
     """The same angle in [−π, π)."""
     return (angle + np.pi) % (2 * np.pi) - np.pi
