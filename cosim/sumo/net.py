@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from cosim.world.road_frame import RoadFrame
-from cosim.world.road_lanes import LaneLink, RoadLane, frame_along
+from cosim.world.road_lanes import LaneLink, RoadLane, entering_lanes, frame_along
 from cosim.world.road_world import LEVEL, Heights, lane_places
 from cosim.world.snapshot import LaneStrip
 
@@ -63,11 +63,7 @@ class Net:
     @cached_property
     def entering(self) -> dict[str, list[str]]:
         """The lanes that lead to each lane, those of junctions among them."""
-        entering: dict[str, list[str]] = {}
-        for lane in self.lanes.values():
-            for link in lane.links:
-                entering.setdefault(link.via[0] if link.via else link.to, []).append(lane.id)
-        return entering
+        return entering_lanes(self.lanes)
 
     @cached_property
     def lanes(self) -> dict[str, RoadLane]:
