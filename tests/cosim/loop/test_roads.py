@@ -93,6 +93,7 @@ def test_on_a_road_that_passes_near_itself_everybody_is_where_it_is(tmp_path: Pa
             assert way == pytest.approx((0.5 * (v[1:] + v[:-1]) * np.diff(episode.time[rows])).sum(), rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_bridge_is_in_another_world(tmp_path: Path) -> None:
     nodes = {"a": "0,0", "b": "600,0", "d": "1200,0", "s": "480,-300,8", "n": "480,300,8"}
     edges = {"up": "a b 2", "down": "b d 2", "over": "s n 2"}
@@ -133,6 +134,7 @@ def test_a_lane_on_the_left_ends_and_its_vehicles_merge_to_the_right(tmp_path: P
     assert abs(d[-1]) < 1
 
 
+@pytest.mark.slow
 def test_a_lane_that_goes_on_across_a_node_is_one_lane(tmp_path: Path) -> None:
     nodes = NODES | {"m": "500,0"}
     edges = {"up": "a b 2", "acc": "b m 3", "acc2": "m c 3", "down": "c d 2", "ramp0": "q r 1", "ramp": "r b 1"}
@@ -144,6 +146,7 @@ def test_a_lane_that_goes_on_across_a_node_is_one_lane(tmp_path: Path) -> None:
     assert not misplaced(outcome)
 
 
+@pytest.mark.slow
 def test_a_shift_at_a_node_is_no_lane_change(tmp_path: Path) -> None:
     links = ("up_0 acc_0", "up_1 acc_1", "ramp_0 acc_2", "acc_0 down_0", "acc_1 down_1")
     net, road = build_net(tmp_path, NODES | {"r": "200,75"}, MERGE, links), ["up", "acc", "down"]
@@ -153,6 +156,7 @@ def test_a_shift_at_a_node_is_no_lane_change(tmp_path: Path) -> None:
     assert not misplaced(outcome)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("step", "period"), [(0.1, 0.2), (0.5, 0.0), (1.0, 0.0)])
 def test_steps_from_a_tenth_to_one_second(tmp_path: Path, step: float, period: float) -> None:
     net = build_net(tmp_path, NODES, MERGE, MERGE_LINKS)
@@ -182,6 +186,7 @@ def test_a_ramp_without_a_lane_of_its_own_joins_at_a_node(tmp_path: Path) -> Non
         assert d[0] < -12  # on the ramp, far beside the road
 
 
+@pytest.mark.slow
 def test_a_zipper_is_passed_and_no_end_of_a_lane(tmp_path: Path) -> None:
     links = ("up_0 acc_1", "up_1 acc_2", "ramp_0 acc_0", "acc_0 down_0", "acc_1 down_0", "acc_2 down_1")
     net = build_net(tmp_path, NODES, MERGE, links)
