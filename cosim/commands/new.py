@@ -51,12 +51,9 @@ def new(
     road = made.road
     say(f"Main road: {' → '.join(road.edges)}, {road.length:.0f} m, {road.vehicles} vehicles in {seconds:g} s.")
     for lane in road.ending:
-        goes = "leads to another road" if lane.leads_off else "ends"
+        goes = "joins" if lane.joins else "leads to another road" if lane.leads_off else "ends"
         fed = f", fed by {', '.join(lane.entries)}" if lane.entries else ", fed by no ramp"
-        usable = "" if lane.side == "right" else "; merges to the right are not supported"
-        say(f"Lane {lane.lane} {goes} on the {lane.side} at s = {lane.end:g} m{fed}{usable}.")
-    if made.net.left_hand:
-        say("The net has left-hand traffic: car following only.")
+        say(f"Lane {lane.lane} {goes} on the {lane.side} at s = {lane.end:g} m{fed}.")
     for option, value in made.given.replaced.items():
         say(f"Your {option} = {value} is replaced by the coupling's (docs/own-scenarios.md).")
     if made.use.waiting:

@@ -80,8 +80,7 @@ def start_round(
     assert latest.valid.all(), "a group was selected with a vehicle that is not there"
     if driver is None:
         return RoundStart(SumoControl(this_round.default_driver), intervention, now, observations)
-    side = this_round.lanes.side if this_round.lanes is not None else 1
-    layout = layout_of(this_round.rule, road, latest.state, now.length[latest.rows], side)
+    layout = layout_of(this_round.rule, road, latest.state, now.length[latest.rows], this_round.lanes)
     runner = PolicyRunner(
         driver.policy,
         layout,

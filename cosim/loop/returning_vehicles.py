@@ -54,7 +54,7 @@ class ReturningVehicles:
         """
         drivers = world.drivers
         own, acceleration = Headway(*drivers.headway(vehicle)), drivers.parameters(vehicle).acceleration
-        drift = Drift(drivers.lane_offset(vehicle), lateral_speed)
+        drift = Drift(world.net.side * drivers.lane_offset(vehicle), lateral_speed)
         a = min(max(a, -plan.HARDEST_BRAKING), plan.HARDEST_BRAKING)
         self._returns[vehicle] = Return(own, own, acceleration, drift, a, checked)
         world.begin_release(vehicle)
@@ -108,7 +108,7 @@ class ReturningVehicles:
             net_gap, braking = gap - headway.gap, drivers.braking(leader)
             known = min(limit, drivers.follow_speed(vehicle, v, net_gap, ahead.v, braking))
         world.guide(vehicle, speed, lateral, safely=state.checked and speed <= known)
-        aside = road.side * (lateral - state.drift.at(state.time))
+        aside = lateral - state.drift.at(state.time)
         self._show(world, road, vehicle, (s + speed * dt, d + aside, 0.0, speed), now)
         self._returns[vehicle] = replace(state, headway=headway, leader=leader, time=time)
 

@@ -10,10 +10,12 @@ from jaxtyping import Float
 
 from cosim.spec.scenario import CarFollowing, GroupRule
 from cosim.world.episode import COLUMNS
+from cosim.world.groups import MergeLanes
 from cosim.world.road_frame import LaneLine, RoadFrame, model_offsets
 from gri.core.dynamics import DUBINS, POINT_MASS_1D, Dynamics
 
-_S, _D, _HEADING, _V, _A = (COLUMNS.index(name) for name in ("s", "d", "heading", "v", "a"))
+_S, _D, _X, _Y, _HEADING, _V, _A = (COLUMNS.index(name) for name in ("s", "d", "x", "y", "heading", "v", "a"))
+SEEN_BESIDE = 20.0  # [m] of s around a ramp, in which its places on the road are looked for
 
 
 @dataclass(frozen=True)
@@ -65,6 +67,29 @@ class LongitudinalLayout:
 
 
 @dataclass(frozen=True)
+class RampPath:
+    """The path of a ramp that joins the target lane at s = `end` [m] of the road; `width` [m] is that of a lane.
+
+    A vehicle 0 on it follows it, whatever the policy steers: the policy decides on the speed alone.
+    """
+
+    path: RoadFrame
+    end: float
+    width: float
+
+    def along(self, xy: Float[np.ndarray, "G 2"]) -> Float[np.ndarray, " G"]:
+        """s [m] along the path of world points."""
+        return self.path.to_road(xy)[0]
+
+    def on_road(self, s: Float[np.ndarray, " R"], road: RoadFrame) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(s, d, relative heading) on the road of places along the path."""
+        xy, heading = self.path.to_world(s, np.zeros(len(s)))
+        at, d = road.to_road(xy, (s - SEEN_BESIDE, np.full(len(s), self.end + SEEN_BESIDE)))
+        turn = road.side * (heading - road.heading_at(at))
+        return at, d, (turn + np.pi) % (2 * np.pi) - np.pi
+
+
+@dataclass(frozen=True)
 class PlanarLayout:
     """States [x, y, v, θ, a, ω] of Dubins' car; y counts from the centre of the target lane, θ from the road.
 
@@ -80,6 +105,7 @@ class PlanarLayout:
     road: RoadFrame
     side: int = 1
     lines: tuple[LaneLine, ...] | None = None
+    ramp: RampPath | None = None
     dynamics: Dynamics = DUBINS
 
     def states(self, observed: Float[np.ndarray, "G 3 C"]) -> Float[np.ndarray, "G 3 6"]:
@@ -88,17 +114,41 @@ class PlanarLayout:
         turn = self.road.side * (observed[..., _HEADING] - self.road.heading_at(s.ravel()).reshape(s.shape))
         x, y, heading = _driven(self.lines, s) + self.offset, observed[..., _D] - self.target, _wrapped(turn)
         features = [x, self.side * y, observed[..., _V], self.side * heading, observed[..., _A]]
-        return np.stack([*features, np.zeros_like(s)], -1)
+        states = np.stack([*features, np.zeros_like(s)], -1)
+        if self.ramp is not None:
+            along = self.ramp.along(observed[:, 0, [_X, _Y]])
+            on_ramp = along < self.ramp.end
+            states[on_ramp, 0, 0] = _driven(self.lines, along[:, None])[on_ramp, 0] + self.offset[on_ramp, 0]
+            states = self._kept_on_ramp(states)
+        return states
 
     def pose(self, state: Float[np.ndarray, "G 3 6"]) -> Pose:
         """The poses of model states."""
         x, y, v, heading, a, _ = (state[..., feature] for feature in range(6))
-        return Pose(_s_at(self.lines, x - self.offset), self.side * y + self.target, self.side * heading, v, a)
+        s, d, turn = _s_at(self.lines, x - self.offset), self.side * y + self.target, self.side * heading
+        if self.ramp is not None and (on_ramp := s[:, 0] < self.ramp.end).any():
+            at = self.ramp.on_road(s[on_ramp, 0], self.road)
+            for values, of_ramp in zip((s, d, turn), at, strict=True):
+                values[on_ramp, 0] = of_ramp
+        return Pose(s, d, turn, v, a)
+
+    def _kept_on_ramp(self, states: Float[np.ndarray, "G 3 6"]) -> Float[np.ndarray, "G 3 6"]:
+        """The states in which a vehicle 0 that is still on a ramp is beside its target, as far as a lane at most."""
+        assert self.ramp is not None
+        s = _s_at(self.lines, states[..., 0] - self.offset)[:, 0]
+        if (on_ramp := s < self.ramp.end).any():
+            states = states.copy()
+            aside = self.side * (self.ramp.on_road(s[on_ramp], self.road)[1] - self.target[on_ramp, 0])
+            states[on_ramp, 0, 1] = np.maximum(aside, -self.ramp.width)
+            states[on_ramp, 0, 3] = states[on_ramp, 0, 5] = 0.0
+        return states
 
     def in_bends(
         self, before: Float[np.ndarray, "G 3 6"], after: Float[np.ndarray, "G 3 6"]
     ) -> Float[np.ndarray, "G 3 6"]:
-        """The states after a step, with the way along x that a vehicle at y drives in it."""
+        """The states after a step, with the way along x that a vehicle at y drives in it; a ramp is followed."""
+        if self.ramp is not None:
+            after = self._kept_on_ramp(after)
         if self.lines is None:
             return after
         pose, result = self.pose(before), after.copy()
@@ -117,30 +167,32 @@ def layout_of(
     road: RoadFrame,
     observed: Float[np.ndarray, "G 3 C"],
     length: Float[np.ndarray, "G 3"],
-    side: int = 1,
+    lanes: MergeLanes | None = None,
 ) -> Layout:
     """The layout for a group rule, from the states and lengths [m] observed at the take-over.
 
-    `side` is that of the target lane of a merge.
+    `lanes` are those of a merge.
     """
     found = [road.line_at(float(d)) for d in observed[:, 2, _D]]
     lines = tuple(line for line in found if line is not None) or None
     if isinstance(rule, CarFollowing):
         return LongitudinalLayout(model_offsets(length), observed[..., _D], lines)
     # From the rear to the front: lag vehicle, merger, leader. The leader keeps to the centre of the target lane.
-    return PlanarLayout(model_offsets(length, order=(1, 0, 2)), observed[:, 2:, _D], road, side, lines)
+    offsets, target, side = model_offsets(length, order=(1, 0, 2)), observed[:, 2:, _D], lanes.side if lanes else 1
+    ramp = RampPath(lanes.path, lanes.source.end, lanes.target.width) if lanes and lanes.path else None
+    return PlanarLayout(offsets, target, road, side, lines, ramp)
 
 
-def _driven(lines: tuple[LaneLine, ...] | None, s: Float[np.ndarray, "G 3"]) -> Float[np.ndarray, "G 3"]:
+def _driven(lines: tuple[LaneLine, ...] | None, s: Float[np.ndarray, "G R"]) -> Float[np.ndarray, "G R"]:
     """The distance along the line of each group."""
     return s if lines is None else np.stack([line.driven(of) for line, of in zip(lines, s, strict=True)])
 
 
-def _s_at(lines: tuple[LaneLine, ...] | None, distance: Float[np.ndarray, "G 3"]) -> Float[np.ndarray, "G 3"]:
+def _s_at(lines: tuple[LaneLine, ...] | None, distance: Float[np.ndarray, "G R"]) -> Float[np.ndarray, "G R"]:
     """s [m] at a distance along the line of each group."""
     return distance if lines is None else np.stack([line.s_at(of) for line, of in zip(lines, distance, strict=True)])
 
 
-def _wrapped(angle: Float[np.ndarray, "G 3"]) -> Float[np.ndarray, "G 3"]:
+def _wrapped(angle: Float[np.ndarray, "G R"]) -> Float[np.ndarray, "G R"]:
     """The same angle in [−π, π)."""
     return (angle + np.pi) % (2 * np.pi) - np.pi

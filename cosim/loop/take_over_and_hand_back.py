@@ -114,7 +114,7 @@ class PolicyControl:
                 self.returning.stop(world, vehicle, stop_of(now, road, vehicle, float(a), braking))
             for role in self.round.driven_roles:
                 if ids[role] not in must_stop and observation.valid[g, role]:
-                    lateral_speed = road.side * float(pose.v[g, role] * np.sin(pose.heading[g, role]))
+                    lateral_speed = float(pose.v[g, role] * np.sin(pose.heading[g, role]))
                     a, checked = float(observation.state[g, role, _A]), recorder.endings[g] is not Ending.CONTACT
                     self.returning.hand_back(world, ids[role], a, lateral_speed, checked=checked)
                 elif not observation.valid[g, role]:

@@ -1,7 +1,7 @@
 """The trunk: the undisturbed traffic, in which groups are found and left to SUMO."""
 
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 
 from cosim.loop.driving import drive, start_round
 from cosim.loop.intervention import NoIntervention
@@ -106,7 +106,8 @@ class Trunk:
 
     def _barred(self, now: Snapshot) -> dict[str, str]:
         """The vehicles inside the study area that cannot be in a group, each with the reason."""
-        scenario, barred = self._scenario, {}
+        scenario, barred, lanes = self._scenario, {}, self._running.lanes
+        ramp = {lane.rpartition("_")[0] for lane in lanes.source_ids} if lanes and lanes.path else set()
         recorded = self._running.recorded
         lasting = None if recorded is None else recorded.present_for(scenario.horizon)
         reach = now.s + now.v * scenario.horizon
@@ -117,7 +118,7 @@ class Trunk:
                 barred[vehicle] = "in an earlier group"
             elif until > scenario.road.length:
                 barred[vehicle] = "too near to the end of the study area for the horizon"
-            elif not _stays_on(scenario.road.edges, self._running.world.route_ahead(vehicle)):
+            elif not _stays_on(scenario.road.edges, self._running.world.route_ahead(vehicle), ramp):
                 barred[vehicle] = "not on the main road, or leaving it"
             elif lasting is not None and vehicle not in lasting:
                 barred[vehicle] = "recorded for less than the horizon"
@@ -135,7 +136,7 @@ class Trunk:
         return episodes, speeds
 
 
-def _stays_on(road: Sequence[str], route_ahead: Sequence[str]) -> bool:
-    """Whether a vehicle is on the main road and stays there until its end, wherever it drives after that."""
+def _stays_on(road: Sequence[str], route_ahead: Sequence[str], ramp: Collection[str]) -> bool:
+    """Whether a vehicle is on the main road, or a ramp to it, and stays there until its end, whatever follows."""
     end = route_ahead.index(road[-1]) + 1 if road[-1] in route_ahead else len(route_ahead)
-    return bool(route_ahead) and set(route_ahead[:end]) <= set(road)
+    return bool(route_ahead) and set(route_ahead[:end]) <= {*road, *ramp}

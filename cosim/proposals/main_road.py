@@ -22,7 +22,8 @@ class EndingLane:
     """A lane of the main road from which vehicles must change to go on along the road.
 
     `begin` and `end` are positions s along the road [m]. `side` is the side of the road on which it ends. `leads_off`
-    says whether it goes on to another road instead of ending. `entries` are the edges that feed it from outside.
+    says whether it goes on to another road instead of ending. `entries` are the edges that feed it from outside. A lane
+    of a ramp that joins the road at a node without a lane of its own `joins`.
     """
 
     lane: str
@@ -31,6 +32,7 @@ class EndingLane:
     side: str
     leads_off: bool
     entries: tuple[str, ...]
+    joins: bool = False
 
     @property
     def zone(self) -> tuple[int, int]:
@@ -96,28 +98,70 @@ def _length(net: NetLanes, edges: Sequence[str]) -> float:
 
 
 def ending_lanes(net: NetLanes, edges: Sequence[str]) -> tuple[EndingLane, ...]:
-    """The lanes of the road that lead to no lane of its next edge, beside a lane that does."""
+    """The lanes of the road that lead to no lane of its next edge, or to the lane of a neighbour, and joining ramps."""
     found, begin = [], 0.0
-    for edge, following in zip(edges, [*edges[1:], None], strict=True):
+    for k, (edge, following) in enumerate(zip(edges, [*edges[1:], None], strict=True)):
         lanes = [net.lanes[lane] for lane in net.of_edge[edge]]
-        goes_on = [any(net.lanes[to].edge == following for to in lane.leads_to) for lane in lanes]
-        if following is not None and any(goes_on):
+        onward = [next((to for to in lane.leads_to if net.lanes[to].edge == following), None) for lane in lanes]
+        if following is not None and any(onward):
+            goes_on = _without_zippers(onward)
             first, last = goes_on.index(True), len(goes_on) - 1 - goes_on[::-1].index(True)
             for lane in lanes:
                 beside = lane.index in (first - 1, last + 1)
-                if beside and lane.for_cars and lane.length >= SHORTEST_ENDING_LANE:
+                length, fed_by = _way_back(net, edges[: k + 1], lane.id)
+                if beside and lane.for_cars and length >= SHORTEST_ENDING_LANE:
                     found.append(
                         EndingLane(
                             lane=lane.id,
-                            begin=round(begin, 1),
+                            begin=round(begin + lane.length - length, 1),
                             end=round(begin + lane.length, 1),
                             side="right" if lane.index < first else "left",
-                            leads_off=bool(lane.leads_to),
-                            entries=_entries(net, lane.id, edges),
+                            leads_off=bool(lane.leads_to) and onward[lane.index] is None,
+                            entries=fed_by,
                         )
                     )
+        found += _joining(net, edges, k, begin)
         begin += lanes[0].length
     return tuple(found)
+
+
+def _without_zippers(onward: Sequence[str | None]) -> list[bool]:
+    """Which lanes go on, counting of two lanes that lead to one only the inner one."""
+    goes_on = [to is not None for to in onward]
+    if len(onward) > 1 and onward[0] is not None and onward[0] == onward[1]:
+        goes_on[0] = False
+    elif len(onward) > 1 and onward[-1] is not None and onward[-1] == onward[-2]:
+        goes_on[-1] = False
+    return goes_on
+
+
+def _way_back(net: NetLanes, edges: Sequence[str], lane: str) -> tuple[float, tuple[str, ...]]:
+    """How long [m] a lane has been going on, across nodes of the road, and which edges outside feed it there."""
+    length, entries = net.lanes[lane].length, {*_entries(net, lane, edges)}
+    for edge in edges[-2::-1]:
+        before = [name for name in net.of_edge[edge] if lane in net.lanes[name].leads_to]
+        if len(before) != 1:
+            break
+        lane = before[0]
+        length += net.lanes[lane].length
+        entries |= {*_entries(net, lane, edges)}
+    return length, tuple(sorted(entries))
+
+
+def _joining(net: NetLanes, edges: Sequence[str], k: int, begin: float) -> list[EndingLane]:
+    """The lanes of ramps that lead to a lane at the beginning of edge `k` to which a lane of the road leads as well."""
+    found = []
+    for lane in net.of_edge[edges[k]] if k else ():
+        leading = [other for other in net.lanes.values() if lane in other.leads_to and other.for_cars]
+        if any(other.edge == edges[k - 1] for other in leading):
+            ramps = [other for other in leading if other.edge not in edges and other.length >= SHORTEST_ENDING_LANE]
+            side = "right" if net.lanes[lane].index == 0 else "left"
+            found += [
+                EndingLane(ramp.id, round(begin - ramp.length, 1), begin, side, False, (ramp.edge,), joins=True)
+                for ramp in ramps
+                if not ramp.has_light
+            ]
+    return found
 
 
 def _entries(net: NetLanes, lane: str, edges: Sequence[str]) -> tuple[str, ...]:

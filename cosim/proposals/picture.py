@@ -39,5 +39,5 @@ def draw_road(net: NetLanes, road: MainRoad, lane: EndingLane | None, path: Path
 
 def _title(lane: EndingLane | None) -> str:
     if lane is None:
-        return "Main road (blue); no lane ends on its right"
+        return "Main road (blue)"
     return f"Main road (blue); lane {lane.lane} ends (orange); take-over at s = {lane.zone[0]} to {lane.zone[1]} m"

@@ -7,6 +7,7 @@ from pathlib import Path
 from cosim.loop.closed_loop import run
 from cosim.proposals.main_road import MainRoad, main_road
 from cosim.proposals.net_file import NetLanes, read_net_lanes
+from cosim.proposals.placed_road import placed
 from cosim.proposals.scenario_file import merging_lane, scenario_text
 from cosim.spec.demand import Traffic
 from cosim.spec.input_files import find_net
@@ -64,11 +65,11 @@ def proposal(path: Path, beside: Path, use: NetUse, rule: str | None) -> Proposa
     given = configuration(Traffic(sumocfg=str(path)))
     assert given.net is not None, "the traffic was observed on a net"
     net = read_net_lanes(given.net)
-    road = main_road(net, use.routes)
-    lane = None if rule == "car_following" or net.left_hand else merging_lane(road)
+    road = placed(main_road(net, use.routes), given.net)
+    lane = None if rule == "car_following" else merging_lane(road)
     if rule == "merge" and lane is None:
         raise InputError(
-            f"{path}: no lane that is fed by a ramp ends on the right of the main road {' '.join(road.edges)};"
+            f"{path}: no lane that is fed by a ramp ends on the main road, and no ramp joins {' '.join(road.edges)};"
             " wanted one for --rule merge. Use --rule car_following"
         )
     name = Path(path).resolve()

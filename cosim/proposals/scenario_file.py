@@ -22,9 +22,9 @@ def warm_up(use: NetUse) -> float:
 
 
 def merging_lane(road: MainRoad) -> EndingLane | None:
-    """The ending lane on which groups can merge: on the right, fed from outside, best one that only ends."""
-    usable = [lane for lane in road.ending if lane.side == "right" and lane.entries]
-    return min(usable, key=lambda lane: (lane.leads_off, lane.begin), default=None)
+    """The ending lane on which groups can merge: fed from outside, best one that only ends."""
+    usable = [lane for lane in road.ending if lane.entries]
+    return min(usable, key=lambda lane: (lane.leads_off, lane.joins, lane.begin), default=None)
 
 
 def scenario_text(configuration: str, road: MainRoad, use: NetUse, lane: EndingLane | None, model: str = "") -> str:

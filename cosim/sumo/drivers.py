@@ -91,7 +91,7 @@ class Drivers:
         return libsumo.vehicle.getSpeed(vehicle), libsumo.vehicle.getAcceleration(vehicle)
 
     def lane_offset(self, vehicle: str) -> float:
-        """Lateral position [m] of a vehicle to the left of the centre of its lane."""
+        """Lateral position [m] of a vehicle that was placed, to the left of the centre of its lane."""
         return libsumo.vehicle.getLateralLanePosition(vehicle)
 
     def allowed_speed(self, vehicle: str) -> float:

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from cosim.world.road_frame import RoadFrame
-from cosim.world.road_lanes import LaneLink, RoadLane, frame_along
+from cosim.world.road_lanes import LaneLink, RoadLane, entering_lanes, frame_along
 from cosim.world.road_world import LEVEL, Heights, lane_places
 from cosim.world.snapshot import LaneStrip
 
@@ -54,15 +54,16 @@ class Net:
         """The road frame of a chain of edges, s = 0 where `origin` begins, with the lanes of the road's world."""
         lanes, edges = self.lanes, [*edges]
         frame = frame_along(lanes, self.lane_count, edges, origin, mirrored=self.left_hand)
-        entering: dict[str, list[str]] = {}
-        for lane in lanes.values():
-            for link in lane.links:
-                entering.setdefault(link.via[0] if link.via else link.to, []).append(lane.id)
-        places = lane_places(lanes, entering, self.lane_count, edges, frame, self._heights)
+        places = lane_places(lanes, self.entering, self.lane_count, edges, frame, self._heights)
         everywhere = (
             frame.is_straight and len(places) == len(lanes) and all(place.is_whole for place in places.values())
         )
         return frame if everywhere else replace(frame, places=places)
+
+    @cached_property
+    def entering(self) -> dict[str, list[str]]:
+        """The lanes that lead to each lane, those of junctions among them."""
+        return entering_lanes(self.lanes)
 
     @cached_property
     def lanes(self) -> dict[str, RoadLane]:
@@ -76,6 +77,11 @@ class Net:
         return RoadLane(lane, edge, int(index), self.shape(lane), self.length(lane), width, links)
 
     @property
+    def side(self) -> int:
+        """−1 where traffic drives on the left, else 1."""
+        return -1 if self.left_hand else 1
+
+    @cached_property
     def left_hand(self) -> bool:
         """Whether traffic drives on the left: then lane 1 of an edge is to the right of lane 0."""
         return any(map(self._is_mirrored, (edge for edge in libsumo.edge.getIDList() if edge[0] != ":")))

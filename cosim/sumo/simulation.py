@@ -185,6 +185,7 @@ class Sumo:
     def guide(self, vehicle: str, speed: float, lateral: float, *, safely: bool) -> None:
         """Set the speed [m/s] of a returning vehicle after the next step and its offset [m] to the left in its lane.
 
+        In left-hand traffic SUMO takes the offset to the right, although it tells that of a placed vehicle to the left.
         With `safely` SUMO drives slower where its own safe speed is lower.
         """
         mode = self._modes[vehicle][0] & ~_ACCELERATION_CHECKS if safely else _NO_CHECKS

@@ -11,6 +11,7 @@ from cosim.sumo import Sumo, sumo
 from cosim.traffic.replay import RecordedVehicles
 from cosim.traffic.simulation_input import SimulationInput
 from cosim.world.groups import MergeLanes
+from cosim.world.joining_ramps import joining_lanes
 from cosim.world.merging_lanes import merging_lanes
 from cosim.world.road_frame import RoadFrame
 from gri.errors import InputError
@@ -75,4 +76,6 @@ def _merge_lanes(world: Sumo, road: RoadFrame, scenario: Scenario) -> MergeLanes
     if not isinstance(rule, Merge):
         return None
     net, edges = world.net, scenario.road.edges
+    if rule.lane in net.lanes and rule.lane[0] != ":" and net.lanes[rule.lane].edge not in edges:
+        return joining_lanes(net.lanes, net.entering, edges, rule.lane, road)
     return merging_lanes(net.lanes, net.lane_count, edges, rule.lane, road, across_edges=rule.across_edges)

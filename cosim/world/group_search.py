@@ -158,7 +158,15 @@ def _merges(history: Sequence[Snapshot], rule: Merge, barred: Mapping[str, str],
             continue
         ids = merger, beside[ahead - 1][1], beside[ahead][1]
         reason = next((barred[vehicle] for vehicle in ids if vehicle in barred), "")
+        if not reason and lanes.path is not None and _is_behind_another(now, merger, lanes):
+            reason = "behind another vehicle on the ramp"
         yield ids, reason or _unacceptable(now, ids, rule) or _left_lane(history, ids)
+
+
+def _is_behind_another(now: Snapshot, merger: str, lanes: MergeLanes) -> bool:
+    """Whether another vehicle is ahead on the ramp: it will be the leader, or stands in the way."""
+    ahead = np.isin(now.lane, [*lanes.source_ids]) & (now.s > now.s[now.row_of[merger]])
+    return bool(ahead.any())
 
 
 def _unacceptable(now: Snapshot, ids: Ids, rule: Merge) -> str:

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from cosim.spec.scenario import CarFollowing, Merge
+from cosim.world.road_frame import RoadFrame
 from cosim.world.snapshot import LaneStrip, Snapshot
 from gri.core.edges import EdgeType
 
@@ -41,6 +42,7 @@ class MergeLanes:
     `side` is 1 where the target is on the side of larger d, and −1 where it is on the other one. Both lanes may go on
     across nodes: `pairs` are the lanes one after the other. `targets` are the lanes on which lag vehicle and leader may
     be. Empty means the one lane each. `ends` is off where the source goes on along the road all the same.
+    `path` is the way of a ramp that joins the target at a node, with the s of the road from there on.
     """
 
     source: LaneStrip
@@ -49,6 +51,7 @@ class MergeLanes:
     pairs: tuple[LanePair, ...] = ()
     targets: frozenset[str] = frozenset()
     ends: bool = True
+    path: RoadFrame | None = None
 
     @property
     def boundary(self) -> float:

@@ -61,6 +61,15 @@ LaneCount = Callable[[str], int]
 """The number of lanes of an edge."""
 
 
+def entering_lanes(lanes: Lanes) -> dict[str, list[str]]:
+    """The lanes that lead to each lane, those of junctions among them."""
+    entering: dict[str, list[str]] = {}
+    for lane in lanes.values():
+        for link in lane.links:
+            entering.setdefault(link.via[0] if link.via else link.to, []).append(lane.id)
+    return entering
+
+
 def reference_lanes(lanes: Lanes, count: LaneCount, edges: Sequence[str]) -> list[str]:
     """One lane per edge: a chain with as few breaks as possible, and of these the leftmost."""
     best: dict[str, tuple[float, list[str]]] = {}

@@ -21,9 +21,9 @@ def build_net(
     links: Sequence[str] = MERGE_LINKS,
     options: Sequence[str] = (),
 ) -> Path:
-    """A net file of nodes "x,y[,z]", edges "from to lanes [shape]" and links "lane lane" (or netconvert's own)."""
+    """A net file of nodes "x,y[,z[,type]]", edges "from to lanes [shape]" and links "lane lane" (or its own)."""
     folder.mkdir(parents=True, exist_ok=True)
-    axes = ("x", "y", "z")
+    axes = ("x", "y", "z", "type")
     node = [
         f'<node id="{name}" {" ".join(f"{a}={v!r}" for a, v in zip(axes, at.split(","), strict=False))}/>'.replace(
             "'", '"'

@@ -39,11 +39,31 @@ def test_a_road_is_cut_at_traffic_lights() -> None:
     assert main_road(lit, {("a", "b", "c"): 10}).edges == ("a", "b")
 
 
-def test_a_lane_that_ends_on_the_left_is_told_but_not_used() -> None:
-    left = net({"up": [["on_0"], ["on_1"]], "on": [["down_0"], []], "down": [[]]})
-    road = main_road(left, {("up", "on", "down"): 10})
+def test_a_lane_that_ends_on_the_left_is_told_and_used_if_a_ramp_feeds_it() -> None:
+    edges = {"up": [["on_0"], ["on_1"]], "on": [["down_0"], []], "down": [[]]}
+    road = main_road(net(edges), {("up", "on", "down"): 10})
     assert [(lane.lane, lane.side) for lane in road.ending] == [("on_1", "left")]
     assert merging_lane(road) is None
+    ramp = {"up": [["on_0"]], "ramp": [["on_1"]]}
+    assert merging_lane(main_road(net(edges | ramp), {("up", "on", "down"): 10})) is not None
+
+
+def test_a_lane_that_goes_on_across_a_node_and_a_zipper_and_a_joining_ramp() -> None:
+    split = net(
+        {
+            "up": [["acc_1"], ["acc_2"]],
+            "ramp": [["acc_0"]],
+            "acc": [["on_0"], ["on_1"], ["on_2"]],
+            "on": [["down_0"], ["down_0"], ["down_1"]],
+            "down": [["end_0"], ["end_1"]],
+            "late": [["end_0"]],
+            "end": [[], []],
+        }
+    )
+    zipper, joining = ending_lanes(split, ("up", "acc", "on", "down", "end"))
+    assert (zipper.lane, zipper.begin, zipper.end, zipper.entries) == ("on_0", 200.0, 600.0, ("ramp",))
+    assert not zipper.leads_off
+    assert (joining.lane, joining.joins, joining.end) == ("late_0", True, 800.0)
 
 
 def test_a_lane_that_leads_to_an_exit_comes_after_one_that_ends() -> None:

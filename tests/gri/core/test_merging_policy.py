@@ -1,5 +1,8 @@
 """The merging driver: whom it follows, when it moves over, and where it ends."""
 
+from dataclasses import replace
+
+import pytest
 import torch
 
 from gri.core.dynamics import DUBINS
@@ -19,12 +22,12 @@ def scene(lag: float, leader: float, v: float = 10.0) -> torch.Tensor:
     return state
 
 
-def drive(state: torch.Tensor, steps: int) -> torch.Tensor:
-    memory = DRIVER.begin(Trajectory.complete(state[:, :, None], 0.2))
+def drive(state: torch.Tensor, steps: int, driver: MergingDriver = DRIVER) -> torch.Tensor:
+    memory = driver.begin(Trajectory.complete(state[:, :, None], driver.dt))
     states = [state]
     for _ in range(steps):
-        action, memory = DRIVER.act(memory, states[-1])
-        moved = DUBINS.step(states[-1], action, 0.2)
+        action, memory = driver.act(memory, states[-1])
+        moved = DUBINS.step(states[-1], action, driver.dt)
         moved[:, 2, 2:] = state[:, 2, 2:]  # the leader keeps its speed
         states.append(moved)
     return torch.stack(states, 2)
@@ -40,6 +43,14 @@ def test_a_merger_with_room_ends_in_the_middle_of_the_target_lane():
     assert float(path[0, 0, :, 1].max()) < 0.3  # it does not swing out on the other side
     assert float(path[0, 0, :, 3].abs().max()) < 0.21
     assert (path[0, 2, :, 0] - path[0, 0, :, 0]).min() > 5.0
+
+
+@pytest.mark.parametrize("dt", [0.05, 0.1, 0.4, 0.5, 1.0])
+def test_it_does_not_swing_however_rarely_it_acts(dt: float):
+    driver = replace(DRIVER, driver=replace(DRIVER.driver, dt=dt))
+    path = drive(scene(lag=60.0, leader=60.0, v=20.0), round(20 / dt), driver)
+    assert float(path[0, 0, :, 1].max()) < 0.3
+    assert abs(float(path[0, 0, -1, 1])) < 0.1
 
 
 def test_a_merger_without_room_stays_in_its_lane():

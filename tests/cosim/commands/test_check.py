@@ -1,0 +1,25 @@
+"""`cosim check`: a line for everything that fits or does not."""
+
+from pathlib import Path
+
+from typer.testing import CliRunner
+
+from cosim.commands.cli import app
+from tests.cosim.loop.test_roads import merge_on
+from tests.cosim.plain_nets import MERGE, NODES, build_net
+
+LINKS = ("up_0 acc_0", "up_1 acc_1", "ramp_0 acc_2", "acc_0 down_0", "acc_1 down_1")
+
+
+def test_what_fits_and_what_does_not(tmp_path: Path) -> None:
+    net = build_net(tmp_path, NODES | {"r": "200,75"}, MERGE, LINKS)
+    path = merge_on(net, ["up", "acc", "down"], ["ramp"], "acc_2", group={"zone": [395, 690]})
+    done = CliRunner().invoke(app, ["check", str(path)])
+    assert done.exit_code == 0, done.output
+    assert "ok      road: up → acc → down" in done.output
+    assert "vehicles merge to the right into acc_1" in done.output
+    assert "warning group.zone: its end 690 m leaves 7 m to merge" in done.output
+    path.write_text(path.read_text().replace("zone:\n  - 395\n  - 690", "zone:\n  - 5\n  - 90"))
+    wrong = CliRunner().invoke(app, ["check", str(path)])
+    assert wrong.exit_code == 2
+    assert "error   group.zone: got [5.0, 90.0], but the lane is at s = 402 to 697 m" in wrong.output
