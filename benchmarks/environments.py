@@ -32,17 +32,18 @@ Times = tuple[float, float]
 
 def used() -> dict[int, float]:
     """CPU seconds so far of this process and of all processes of environments, by process."""
-    found = {0: time.process_time()}
+    found: dict[int, float] = {}
     for folder in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):
             if b"cosim.environments.traffic_process" in (folder / "cmdline").read_bytes():
                 found[int(folder.name)] = int((folder / "schedstat").read_text().split()[0]) / 1e9
-    return found
+    return found | {0: time.process_time()}  # read last: the search itself takes long
 
 
 def since(before: dict[int, float]) -> float:
     """CPU seconds since then, of processes that are still there."""
-    return sum(seconds - before.get(process, 0.0) for process, seconds in used().items())
+    own = {0: time.process_time()}
+    return sum(seconds - before.get(process, 0.0) for process, seconds in (used() | own).items())
 
 
 def of_environment(env: gymnasium.Env, steps: int) -> Iterator[Times]:
