@@ -11,6 +11,7 @@ the same traffic. highway-env has a small world of its own without SUMO. Needs L
 """
 
 import argparse
+import os
 import tempfile
 import time
 from collections.abc import Iterator
@@ -31,18 +32,18 @@ Times = tuple[float, float]
 
 
 def used() -> dict[int, float]:
-    """CPU seconds so far of this process and of all processes of environments, by process."""
+    """CPU seconds so far of this process and of all that it started, by process."""
     found: dict[int, float] = {}
     for folder in Path("/proc").glob("[0-9]*"):
         with suppress(OSError):
-            if b"cosim.environments.traffic_process" in (folder / "cmdline").read_bytes():
+            if os.getpgid(int(folder.name)) == os.getpgid(0):
                 found[int(folder.name)] = int((folder / "schedstat").read_text().split()[0]) / 1e9
-    return found | {0: time.process_time()}  # read last: the search itself takes long
+    return found | {os.getpid(): time.process_time()}  # read last: the search itself takes long
 
 
 def since(before: dict[int, float]) -> float:
     """CPU seconds since then, of processes that are still there."""
-    own = {0: time.process_time()}
+    own = {os.getpid(): time.process_time()}
     return sum(seconds - before.get(process, 0.0) for process, seconds in (used() | own).items())
 
 
@@ -109,6 +110,7 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=5)
     parser.add_argument("--steps", type=int, default=60)
     given = parser.parse_args()
+    os.setpgid(0, 0)  # what this process starts can be told by its process group
     rows = compared(given.scenario, given.steps)
     measured: dict[str, list[Times]] = {name: [] for name in rows}
     for _ in range(given.rounds):
