@@ -1,16 +1,17 @@
-"""Steps per second and reset times of the environments, beside highway-env and a loop of per-vehicle getters.
+"""CPU time of a step and of a reset of an environment, beside highway-env and a loop of per-vehicle getters.
 
     pip install highway-env
-    python benchmarks/environments.py [--scenario us101_merge] [--rounds 5] [--steps 200]
+    python benchmarks/environments.py [--scenario us101_merge] [--rounds 5] [--steps 60]
 
-All take turns in one run, so that other load of the machine slows all alike; figures are medians of the rounds. The
-loop of getters is what libraries such as sumo-rl do: in every step they read position, speed, angle and lane of every
-vehicle by one call each, command one vehicle, and a reset starts SUMO and its warm-up anew. It runs in process, by
-libsumo, on the same traffic. highway-env has a small world of its own without SUMO.
+All take turns in one run; figures are medians of the rounds. CPU time is that of all processes of an environment: it
+and the process of its episode wait for each other in every step, so on a busy machine wall time is that of the
+scheduler. The loop of getters is what libraries such as sumo-rl do: in every step they read position, speed, angle and
+lane of every vehicle by one call each, and a reset starts SUMO and its warm-up anew. It runs in process, by libsumo, on
+the same traffic. highway-env has a small world of its own without SUMO. Needs Linux.
 """
 
 import argparse
-import statistics
+import os
 import tempfile
 import time
 from collections.abc import Iterator
@@ -21,81 +22,85 @@ import gymnasium
 import libsumo
 import numpy as np
 
-from cosim.environments import DrivingEnv, DrivingVectorEnv
+from cosim.environments import DrivingEnv
 from cosim.spec.input_files import find_net
 from cosim.spec.loading import load_scenario
 from cosim.traffic.simulation_input import SumoFiles, prepare_simulation
 
-PARALLEL = 4
+Times = tuple[float, float]
+"""CPU seconds of a step and of a reset."""
 
 
-def of_gymnasium(env: gymnasium.Env, steps: int) -> Iterator[tuple[float, float]]:
-    """Seconds per step and seconds of a reset, round by round."""
+def used() -> dict[int, float]:
+    """CPU seconds so far of this process and of all that it started, by process."""
+    found: dict[int, float] = {}
+    for folder in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):
+            if os.getpgid(int(folder.name)) == os.getpgid(0):
+                found[int(folder.name)] = int((folder / "schedstat").read_text().split()[0]) / 1e9
+    return found | {os.getpid(): time.process_time()}  # read last: the search itself takes long
+
+
+def since(before: dict[int, float]) -> float:
+    """CPU seconds since then, of processes that are still there."""
+    own = {os.getpid(): time.process_time()}
+    return sum(seconds - before.get(process, 0.0) for process, seconds in (used() | own).items())
+
+
+def of_environment(env: gymnasium.Env, steps: int) -> Iterator[Times]:
+    """One environment: an episode begins anew before it can end, so that none of its processes is missed."""
     env.reset(seed=1)
+    env.action_space.seed(1)
     while True:
-        resets, stepping = [], 0.0
-        for _ in range(steps):
-            began = time.perf_counter()
-            _, _, ended, truncated, _ = env.step(env.action_space.sample())
-            stepping += time.perf_counter() - began
-            if ended or truncated or not resets:
-                began = time.perf_counter()
-                env.reset()
-                resets.append(time.perf_counter() - began)
-        yield stepping / steps, statistics.median(resets)
+        resets, stepping, counted = [], 0.0, 0
+        while counted < steps:
+            before = used()
+            env.reset()
+            resets.append(since(before))
+            before, over, taken = used(), False, 0
+            while not over and taken < 10:
+                _, _, ended, truncated, _ = env.step(env.action_space.sample())
+                over, taken = ended or truncated, taken + 1
+            if not over:
+                stepping, counted = stepping + since(before), counted + taken
+        yield stepping / counted, float(np.median(resets))
 
 
-def of_vector(scenario: str, steps: int) -> Iterator[tuple[float, float]]:
-    """Seconds per step of one episode where several are driven at the same time; resets are inside the steps."""
-    env = DrivingVectorEnv(scenario, PARALLEL)
-    env.reset(seed=1)
-    while True:
-        began = time.perf_counter()
-        for _ in range(steps // PARALLEL):
-            env.step(env.action_space.sample())
-        yield (time.perf_counter() - began) / (steps // PARALLEL * PARALLEL), float("nan")
-
-
-def of_getters(name: str, steps: int) -> Iterator[tuple[float, float]]:
+def of_getters(name: str, steps: int) -> Iterator[Times]:
     """The loop of per-vehicle getters in warmed-up traffic."""
     scenario, api = load_scenario(name), libsumo.vehicle
     with tempfile.TemporaryDirectory() as scratch:
         files = SumoFiles(find_net(scenario.net), Path(scratch, "r.rou.xml"), Path(scratch, "sumo.log"))
         inputs = prepare_simulation(scenario, files, scenario.time_limit)
         inputs.write()
-
-        def reset() -> float:
-            began = time.perf_counter()
-            with suppress(libsumo.TraCIException):
+        while True:
+            began = time.process_time()
+            with suppress(libsumo.TraCIException, libsumo.FatalTraCIError):
                 libsumo.close()
             libsumo.start(["sumo", *inputs.arguments])
             for _ in range(scenario.steps(scenario.traffic.warm_up)):
                 libsumo.simulationStep()
-            return time.perf_counter() - began
-
-        taken = reset()
-        while True:
-            began = time.perf_counter()
+            reset, began = time.process_time() - began, time.process_time()
             for _ in range(steps):
                 ids = api.getIDList()
-                [(api.getPosition(v), api.getSpeed(v), api.getAngle(v), api.getLaneID(v)) for v in ids]
+                for vehicle in ids:
+                    api.getPosition(vehicle), api.getSpeed(vehicle), api.getAngle(vehicle), api.getLaneID(vehicle)
                 api.setSpeed(ids[0], 10.0)
                 libsumo.simulationStep()
-            yield (time.perf_counter() - began) / steps, taken
+            yield (time.process_time() - began) / steps, reset
 
 
-def rows(scenario: str, steps: int) -> dict[str, Iterator[tuple[float, float]]]:
-    """What is compared."""
+def compared(scenario: str, steps: int) -> dict[str, Iterator[Times]]:
+    """What takes turns."""
     found = {
-        "DrivingEnv": of_gymnasium(DrivingEnv(scenario), steps),
-        f"DrivingVectorEnv, {PARALLEL} episodes at once": of_vector(scenario, steps),
+        "DrivingEnv": of_environment(DrivingEnv(scenario), steps),
         "per-vehicle getters, libsumo": of_getters(scenario, steps),
     }
     with suppress(ImportError):
         import highway_env
 
         gymnasium.register_envs(highway_env)
-        found["highway-env merge-v0"] = of_gymnasium(gymnasium.make("merge-v0"), steps)
+        found["highway-env merge-v1"] = of_environment(gymnasium.make("merge-v1"), steps)
     return found
 
 
@@ -103,16 +108,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenario", default="us101_merge")
     parser.add_argument("--rounds", type=int, default=5)
-    parser.add_argument("--steps", type=int, default=200)
+    parser.add_argument("--steps", type=int, default=60)
     given = parser.parse_args()
-    compared = rows(given.scenario, given.steps)
-    measured: dict[str, list[tuple[float, float]]] = {name: [] for name in compared}
+    os.setpgid(0, 0)  # what this process starts can be told by its process group
+    rows = compared(given.scenario, given.steps)
+    measured: dict[str, list[Times]] = {name: [] for name in rows}
     for _ in range(given.rounds):
-        for name, turns in compared.items():
+        for name, turns in rows.items():
             measured[name].append(next(turns))
-    for name, pairs in measured.items():
-        step, reset = (float(np.median(column)) for column in zip(*pairs, strict=True))
-        print(f"{name:40s} {1 / step:8.0f} steps/s {1e3 * step:8.2f} ms/step {1e3 * reset:10.2f} ms/reset")
+    for name, rounds in measured.items():
+        step, reset = (1e3 * float(np.median(column)) for column in zip(*rounds, strict=True))
+        print(f"{name:32s} {step:8.2f} ms of CPU per step {1e3 / step:8.0f} steps/s {reset:10.1f} ms of CPU per reset")
 
 
 if __name__ == "__main__":
