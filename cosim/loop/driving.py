@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 import torch
 
-from cosim.loop.graph_source import graph_from_source, keep_where_unknown, smoothed
+from cosim.loop.graph_source import graph_from_source, keep_where_unknown, on_same_pairs, smoothed
 from cosim.loop.intervention import Intervention, NoIntervention
 from cosim.loop.observation import GroupObservation
 from cosim.loop.policy_runner import PolicyRunner
@@ -188,12 +188,12 @@ def _episodes(
     length: np.ndarray,
     width: np.ndarray,
 ) -> list[Episode]:
-    """One episode per group, with its part of what is `around`; `length` and `width` [m] are of shape (G, 3)."""
+    """One episode per group, with its part of what is `around`; `length` and `width` [m] are of shape (G, N)."""
     this_round = recorder.round
     time = np.array([observation.time for observation in observations])
     state = np.stack([observation.state for observation in observations], axis=1)
     valid = np.stack([observation.valid for observation in observations], axis=1)
-    members = slice(3 if this_round.has_third_vehicle else 2)
+    members = slice(this_round.size if this_round.has_third_vehicle else 2)
     episodes = []
     for g, group in enumerate(this_round.groups):
         end = recorder.ends[g]
@@ -225,6 +225,7 @@ def _graph_over_time(graphs: Sequence[InteractionGraph], g: int) -> InteractionG
     """The graphs of one group as one graph with a row per time; None where there are none."""
     if not graphs:
         return None
+    graphs = on_same_pairs(graphs)
     scores = [graph.unknown[g] for graph in graphs if graph.unknown is not None]
     unknown = torch.stack(scores) if len(scores) == len(graphs) else None
-    return InteractionGraph(torch.stack([graph.logits[g] for graph in graphs]), graphs[0].vocabulary, unknown)
+    return replace(graphs[0], logits=torch.stack([graph.logits[g] for graph in graphs]), unknown=unknown)

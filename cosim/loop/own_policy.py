@@ -84,7 +84,8 @@ def _check_state(method: str, state: object, groups: int, vehicles: int) -> None
         return
     if not isinstance(graph, InteractionGraph):
         raise PolicyFailure(f"{method} returned {_kind(graph)} as graph, expected an InteractionGraph or None")
-    wanted = groups, vehicles * (vehicles - 1)
+    pairs = vehicles * (vehicles - 1) if graph.candidates is None else len(graph.candidates)
+    wanted = groups, pairs
     if tuple(graph.logits.shape[:2]) != wanted or not torch.isfinite(graph.logits).all():
         raise PolicyFailure(
             f"{method} returned a graph that is no finite logits of {wanted[0]} groups, {wanted[1]} pairs"

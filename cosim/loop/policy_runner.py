@@ -15,7 +15,7 @@ from cosim.loop.state_layouts import Layout
 from cosim.perturb.effects import Effect
 from cosim.perturb.sensing_and_control import SensingAndControl
 from cosim.world.episode import COLUMNS
-from gri.core.graph import InteractionGraph, pairs
+from gri.core.graph import InteractionGraph
 from gri.core.policy import Policy, PolicyState
 from gri.core.trajectory import Trajectory
 
@@ -106,15 +106,15 @@ class PolicyRunner:
         self._steps += 1
         self.pose = self._layout.pose(self._commanded)
 
-    def _observed(self) -> Float[np.ndarray, "V 3 D"]:
+    def _observed(self) -> Float[np.ndarray, "V N D"]:
         """The present states as the channels show them, in each view."""
         return self._channels.observed(torch.from_numpy(self._state)).flatten(0, 1).numpy()
 
-    def states_for_policy(self) -> Float[Tensor, "V 3 D"]:
+    def states_for_policy(self) -> Float[Tensor, "V N D"]:
         """What the policy would get now; after the end of a drive, the states in which it ended."""
         return _relative(self._observed())
 
-    def _action(self, observed: Float[np.ndarray, "V 3 D"], time: float) -> Float[Tensor, "V 3 A"]:
+    def _action(self, observed: Float[np.ndarray, "V N D"], time: float) -> Float[Tensor, "V N A"]:
         """The policy's action in each view, from a new graph where it is time for one; 0 where the policy fails."""
         nothing = torch.zeros(*observed.shape[:2], len(self._dynamics.action))
         if len(self.failures) == len(self._state):
@@ -131,7 +131,7 @@ class PolicyRunner:
             return nothing
         return action
 
-    def _usable(self, action: Float[Tensor, "G 3 A"]) -> Float[Tensor, "G 3 A"]:
+    def _usable(self, action: Float[Tensor, "G N A"]) -> Float[Tensor, "G N A"]:
         """The action with 0 for what no vehicle can do; a group with such an action of a driven vehicle has failed."""
         right = (action.isfinite() & (action.abs() <= LARGEST)).all(-1)
         for g in (~right[:, self._driven_roles].all(-1)).nonzero()[:, 0].tolist():
@@ -142,7 +142,7 @@ class PolicyRunner:
     def _fail(self, groups: Iterable[int], reason: str) -> None:
         self.failures = {g: reason for g in groups} | self.failures
 
-    def _of_own_view(self, action: Float[Tensor, "V 3 A"]) -> Float[Tensor, "G 3 A"]:
+    def _of_own_view(self, action: Float[Tensor, "V N A"]) -> Float[Tensor, "G N A"]:
         """The action of each role from the view that drives it."""
         if self._channels.views == 1:
             return action
@@ -153,7 +153,7 @@ class PolicyRunner:
         """What perturbed sensors and actuators did to a group that was driven until `end` [s]."""
         return self._channels.effects(group, max(round((end - self._took_over) / self._dt), 1))
 
-    def _next_state(self, action: Float[np.ndarray, "G 3 A"]) -> Float[np.ndarray, "G 3 D"]:
+    def _next_state(self, action: Float[np.ndarray, "G N A"]) -> Float[np.ndarray, "G N D"]:
         """The next state by the dynamics, within what the road surface allows; no vehicle drives backwards."""
         following = self._layout.in_bends(self._state, self._dynamics.step(self._state, action, self._dt))
         following = self._channels.feasible_state(torch.from_numpy(following)).numpy()
@@ -172,7 +172,7 @@ class PolicyRunner:
         np.copyto(state[..., _A], self.pose.a, where=self._driven(active))
         return GroupObservation(observation.time, state, observation.valid, observation.rows)
 
-    def _driven(self, active: Sequence[int]) -> Bool[np.ndarray, "G 3"]:
+    def _driven(self, active: Sequence[int]) -> Bool[np.ndarray, "G N"]:
         """The vehicles that the policy drives, in the active groups."""
         if self._mask is None or self._mask[0] != active:
             mask = np.zeros(self._state.shape[:2], dtype=bool)
@@ -187,14 +187,14 @@ def _graph_of_views(graph: InteractionGraph, view_of: Sequence[int]) -> Interact
     if views == 1:
         return graph
     logits = graph.logits.unflatten(0, (views, -1))
-    of_receivers = torch.stack([logits[view_of[receiver], :, k] for k, (_, receiver) in enumerate(pairs(3))], 1)
+    of_receivers = torch.stack([logits[view_of[receiver], :, k] for k, (_, receiver) in enumerate(graph.pairs)], 1)
     unknown = None if graph.unknown is None else graph.unknown.unflatten(0, (views, -1)).amax(0)
-    return InteractionGraph(of_receivers, graph.vocabulary, unknown)
+    return replace(graph, logits=of_receivers, unknown=unknown)
 
 
-def _relative(state: Float[np.ndarray, "G 3 *T D"]) -> Float[Tensor, "G 3 *T D"]:
+def _relative(state: Float[np.ndarray, "G N *T D"]) -> Float[Tensor, "G N *T D"]:
     """float32 states with x counted from the leader's latest position, where float32 is finest."""
-    latest = state[:, 2:3, 0] if state.ndim == 3 else state[:, 2:3, -1:, 0]
+    latest = state[:, -1:, 0] if state.ndim == 3 else state[:, -1:, -1:, 0]
     counted = state.copy()
     counted[..., 0] -= latest
     return torch.from_numpy(counted.astype(np.float32))

@@ -80,7 +80,7 @@ class PolicyControl:
         )
         for g in active:
             for role in this_round.driven_roles:
-                vehicle, lane, k = this_round.groups[g].ids[role], "", 3 * g + role
+                vehicle, lane, k = this_round.groups[g].ids[role], "", this_round.size * g + role
                 if this_round.lanes is not None and role == 0:
                     lane = shadow_vehicles.place(
                         world, road, vehicle, pose.of(g, role), this_round.lanes, now, this_round.dt
