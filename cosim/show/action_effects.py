@@ -234,7 +234,7 @@ def _lateral(own: _Replay, state: Float[Tensor, "T D"]) -> Float[Tensor, " T"]:
 
 
 def _relative(state: Float[Tensor, "B 3 *T D"]) -> Float[Tensor, "B 3 *T D"]:
-    """float32 states with x counted from the latest position of vehicle 2, as the loop gives them to policies."""
+    """float32 states with x counted from the latest position of the leader, as the loop gives them to policies."""
     counted = state.clone()
-    counted[..., 0] -= state[:, 2:3, 0] if state.ndim == 3 else state[:, 2:3, -1:, 0]
+    counted[..., 0] -= state[:, -1:, 0] if state.ndim == 3 else state[:, -1:, -1:, 0]
     return counted.float()

@@ -8,7 +8,6 @@ is the same specification for editors.
 import math
 from typing import Annotated, Any, Literal
 
-import msgspec
 from msgspec import Meta, field
 
 from cosim.spec.demand import (
@@ -324,14 +323,3 @@ class Scenario(Spec, frozen=True, kw_only=True):
     def steps(self, duration: float) -> int:
         """A duration [s] in simulation steps."""
         return round(duration / self.step)
-
-
-def json_schema() -> dict[str, Any]:
-    """JSON Schema of a scenario file, for editors."""
-    schema = msgspec.json.schema(Scenario)
-    properties = schema["$defs"]["Scenario"]["properties"]
-    properties["traffic"] = {
-        "description": "a traffic description, or the name or path of a file that holds one",
-        "anyOf": [properties["traffic"], {"type": "string"}],
-    }
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "cosim scenario", **schema}

@@ -40,6 +40,7 @@ def test_the_last_graph_is_kept_only_where_the_scene_is_unknown_and_the_source_s
     assert keep_where_unknown(new, last, Inferred()) is new
     assert keep_where_unknown(INFERRED, last, Inferred(when_unknown="keep")) is INFERRED
     kept = keep_where_unknown(new, last, Inferred(when_unknown="keep"))
+    assert new.unknown is not None
     for scene in range(len(new)):
         wanted = last if float(new.unknown[scene]) > 1 else new
         assert torch.equal(kept.logits[scene], wanted.logits[scene])
