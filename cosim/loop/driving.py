@@ -14,7 +14,7 @@ import torch
 from cosim.loop.graph_source import graph_from_source, keep_where_unknown, on_same_pairs, smoothed
 from cosim.loop.intervention import Intervention, NoIntervention
 from cosim.loop.observation import GroupObservation
-from cosim.loop.policy_runner import PolicyRunner
+from cosim.loop.policy_runner import Around, PolicyRunner
 from cosim.loop.returning_vehicles import ReturningVehicles
 from cosim.loop.round_recorder import Round, RoundRecorder, hard_braking
 from cosim.loop.state_layouts import layout_of
@@ -98,10 +98,16 @@ def start_round(
         ),
         reinfer_steps=driver.reinfer,
         channels=intervention.channels(layout, road, len(observations)),
+        around=_around(intervention, now),
     )
     runner.decide(now.time)
     returning = ReturningVehicles(this_round.dt, this_round.lanes)
     return RoundStart(PolicyControl(driver.name, this_round, runner, returning), intervention, now, observations)
+
+
+def _around(intervention: Intervention | NoIntervention, now: Snapshot) -> Around:
+    """The vehicles near the round, and the members of its groups."""
+    return now, [intervention.members(g, now) for g in range(len(intervention.round.groups))]
 
 
 def _graph_to_use(
@@ -142,7 +148,7 @@ def drive(world: Sumo, road: RoadFrame, start: RoundStart) -> list[Episode]:
         recorder.judge(observation, before, now, report, last=step == this_round.driven_steps)
         recorder.end_failed(control.failures, before.time, now.time)
         control.hand_back(world, road, recorder, observation, now, ended=set(active) - set(recorder.active))
-        control.observe(intervention.shown_to_policy(observation, now), recorder.active)
+        control.observe(intervention.shown_to_policy(observation, now), recorder.active, _around(intervention, now))
         observations.append(observation.with_last_known_states(before))
         trace.append(now)
     for watched in range(step, step + this_round.watched_steps):

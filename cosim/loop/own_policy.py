@@ -11,6 +11,7 @@ from torch import Tensor
 from cosim.process.guarded_calls import CallGuard, FatalCall
 from gri.core.dynamics import Dynamics
 from gri.core.graph import InteractionGraph
+from gri.core.nearby import Nearby
 from gri.core.policy import Policy, PolicyState
 from gri.core.trajectory import Trajectory
 
@@ -50,9 +51,16 @@ class OwnPolicy:
         _check_state("begin", state, *history.state.shape[:2])
         return state
 
-    def act(self, memory: PolicyState, state: Float[Tensor, "B N D"]) -> tuple[Float[Tensor, "B N A"], PolicyState]:
+    @property
+    def sees_nearby(self) -> bool:
+        """Whether the policy is to be told who is near."""
+        return bool(getattr(self.policy, "sees_nearby", False))
+
+    def act(
+        self, memory: PolicyState, state: Float[Tensor, "B N D"], *nearby: Nearby
+    ) -> tuple[Float[Tensor, "B N A"], PolicyState]:
         """The actions and the next policy state; numbers in them may still be NaN. Raises `PolicyFailure`."""
-        answer = self._call("act", self.policy.act, memory, state)
+        answer = self._call("act", self.policy.act, memory, state, *nearby)
         if not isinstance(answer, tuple) or len(answer) != 2:
             raise PolicyFailure(f"act returned {_kind(answer)}, expected a pair (action, policy state)")
         action, following = answer

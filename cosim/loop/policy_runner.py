@@ -1,7 +1,7 @@
 """Runs a policy for all groups of a round: observed states in, one model call, commanded poses out."""
 
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,18 +9,22 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from cosim.loop.nearby_vehicles import nearby_vehicles
 from cosim.loop.observation import GroupObservation
 from cosim.loop.own_policy import PolicyFailure
 from cosim.loop.state_layouts import Layout
 from cosim.perturb.effects import Effect
 from cosim.perturb.sensing_and_control import SensingAndControl
 from cosim.world.episode import COLUMNS
+from cosim.world.snapshot import Snapshot
 from gri.core.graph import InteractionGraph
 from gri.core.policy import Policy, PolicyState
 from gri.core.trajectory import Trajectory
 
 _A = COLUMNS.index("a")
 LARGEST = 1e6  # of any action in SI units, far beyond what a vehicle can do
+Around = tuple[Snapshot, Sequence[Collection[str]]]
+"""All vehicles near the round, and the ids of the members of each group."""
 GraphOverride = Callable[[InteractionGraph, InteractionGraph | None], InteractionGraph]
 
 
@@ -32,6 +36,7 @@ class PolicyRunner:
     inferred graph and the last one (None at first) into the one that the policy uses. `reinfer_steps` says how often
     the graph is inferred again (0: never). `channels` are the perturbed sensors and actuators. Where the driven
     vehicles have a view each, the policy gets the groups once per view, and each role is driven by its own view.
+    `around` are the vehicles near the round at its start, for policies that look at them (`sees_nearby`).
     `graphs` are the graphs used so far, each with its time [s]; an effect on a vehicle is the one in the view that
     drives it.
     """
@@ -48,6 +53,7 @@ class PolicyRunner:
         override_graph: GraphOverride,
         reinfer_steps: int,
         channels: SensingAndControl,
+        around: Around | None = None,
     ) -> None:
         assert policy.dynamics.name is layout.dynamics.name, f"cannot drive {policy.dynamics.name} states here"
         self._policy, self._layout, self._dt = policy, layout, dt
@@ -66,6 +72,7 @@ class PolicyRunner:
         self._steps, self._took_over = 0, history[-1].time
         self.graphs: list[tuple[float, InteractionGraph]] = []
         self.failures: dict[int, str] = {}  # groups for which the policy has given no usable answer, and why
+        self._around = around
         self._action_now = torch.zeros(*self._state.shape[:2], len(policy.dynamics.action))
         self._memory = PolicyState.empty(Trajectory.complete(_relative(np.stack(self._window, axis=2)), self._period))
         try:
@@ -125,11 +132,21 @@ class PolicyRunner:
                 if self._steps % self._reinfer_steps == 0:
                     self._memory = replace(self._memory, graph=self._infer_graph(self._memory.graph).graph)
                     self._record_graph(time)
-            action, self._memory = self._policy.act(self._memory, _relative(observed))
+            action, self._memory = self._act(_relative(observed))
         except PolicyFailure as failure:
             self._fail(range(len(self._state)), str(failure))
             return nothing
         return action
+
+    def _act(self, state: Float[Tensor, "V N D"]) -> tuple[Float[Tensor, "V N A"], PolicyState]:
+        """The policy's answer; one that looks at more than its groups is told who is near."""
+        if self._around is None or not getattr(self._policy, "sees_nearby", False):
+            return self._policy.act(self._memory, state)
+        nearby = nearby_vehicles(*self._around, self._layout.pose(self._state))
+        if self._channels.views > 1:
+            nearby = nearby.repeated(self._channels.views)
+        act: Callable[..., tuple[Tensor, PolicyState]] = self._policy.act
+        return act(self._memory, state, nearby)
 
     def _usable(self, action: Float[Tensor, "G N A"]) -> Float[Tensor, "G N A"]:
         """The action with 0 for what no vehicle can do; a group with such an action of a driven vehicle has failed."""
@@ -161,8 +178,9 @@ class PolicyRunner:
             return following
         return self._dynamics.stop(torch.from_numpy(self._state), torch.from_numpy(following)).numpy()
 
-    def observe(self, observation: GroupObservation, active: Sequence[int]) -> None:
+    def observe(self, observation: GroupObservation, active: Sequence[int], around: Around | None = None) -> None:
         """Read the vehicles' new states; driven vehicles are where the dynamics put them."""
+        self._around = around
         driven = self._driven(active)[..., None]
         self._state = np.where(driven, self._commanded, self._layout.states(observation.state))
 

@@ -55,8 +55,8 @@ def policy_of(scenario: spec.Scenario) -> Policy | None:
     match scenario.policy:
         case spec.LeftToSumo():
             return None
-        case spec.Idm():
-            model = IntelligentDriver(period, length=NOMINAL_LENGTH)
+        case spec.Idm(sees=sees):
+            model = IntelligentDriver(period, length=NOMINAL_LENGTH, sees_nearby=sees == "everybody")
             policy: Policy = model if in_lane else MergingDriver(model)
         case spec.ConstantVelocity():
             policy = ConstantVelocity(period, POINT_MASS_1D if in_lane else DUBINS)

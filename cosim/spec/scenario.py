@@ -113,7 +113,9 @@ class TrainedPolicy(Spec, frozen=True, kw_only=True, tag_field="kind", tag="gri"
 
 
 class Idm(Spec, frozen=True, kw_only=True, tag_field="kind", tag="idm"):
-    """The intelligent driver model."""
+    """The intelligent driver model. It sees `everybody` near, or its own `group` only."""
+
+    sees: Literal["everybody", "group"] = "everybody"
 
 
 class ConstantVelocity(Spec, frozen=True, kw_only=True, tag_field="kind", tag="constant_velocity"):
