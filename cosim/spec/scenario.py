@@ -28,14 +28,14 @@ from cosim.spec.demand import (
     TimeGap,
     Traffic,
 )
-from cosim.spec.perturbations import CHANGES_DEMAND, Perturbation, RemoveThird
+from cosim.spec.group_roles import USUAL_SIZE, check_roles
+from cosim.spec.perturbations import CHANGES_DEMAND, Perturbation
 from cosim.spec.shares import check_shares
 from cosim.spec.sumo_models import SumoModel
 from cosim.spec.work import Work, entering, refuse_too_much
 
 AFTERMATH = 10.0  # [s] after the hand-back of a group in which its contacts still count
 DECISION_LIMIT = 30.0  # [s] of real time for one decision of a policy of the user
-USUAL_SIZE = 3  # vehicles of a group
 MAX_WORK = 1.0  # times the usual limits
 MOST_AT_ONCE = 5_000  # vehicles in the study area whose history is kept, at most
 Seed = Annotated[int, Meta(ge=0, lt=2**31)]  # SUMO's seeds have 31 bits
@@ -260,7 +260,8 @@ class Scenario(Spec, frozen=True, kw_only=True):
     max_work: Annotated[float, Meta(gt=0, le=10_000)] = MAX_WORK
 
     def __post_init__(self) -> None:
-        self._check_roles()
+        edges = self.graph.edges if isinstance(self.graph, Enforced) else {}
+        check_roles(self.group.size, self.driven_roles, edges, self.perturbations)
         if self.traffic.has_own_files:
             self._check_own_files()
         check_shares(self, isinstance(self.background, Replay))
@@ -284,26 +285,6 @@ class Scenario(Spec, frozen=True, kw_only=True):
     def driven_roles(self) -> tuple[int, ...]:
         """The roles that the policy drives."""
         return tuple(range(self.group.size - 1)) if self.driven is None else self.driven
-
-    def _check_roles(self) -> None:
-        """Every role that is named is one of the group."""
-        size, driven = self.group.size, self.driven_roles
-        if len(set(driven)) < len(driven):
-            raise ValueError(f"driven is {list(driven)}, expected each role once")
-        if max(driven) >= size - 1:
-            raise ValueError(
-                f"driven is {list(driven)}, expected roles from 0 to {size - 2}: the leader of {size} vehicles is"
-                f" {size - 1}"
-            )
-        if isinstance(self.graph, Enforced):
-            for pair in self.graph.edges:
-                if max(int(pair[0]), int(pair[-1])) >= size:
-                    raise ValueError(f"graph.edges has {pair!r}, expected vehicles from 0 to {size - 1}")
-        if size != USUAL_SIZE and any(isinstance(change, RemoveThird) for change in self.perturbations):
-            raise ValueError(
-                f"perturbations has remove_third and group.size is {size}, expected a group of three vehicles, or other"
-                " perturbations"
-            )
 
     def _check_own_files(self) -> None:
         """Whatever changes the demand needs traffic that is described in the scenario."""

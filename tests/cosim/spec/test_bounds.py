@@ -113,7 +113,7 @@ def test_all_but_the_leader_are_driven(size):
     [
         (US101, {"group": {"rule": "car_following", "size": 9}}, "group.size: Expected `int` <= 8"),
         (US101, {"group": {"rule": "car_following", "size": 1}}, "group.size: Expected `int` >= 2"),
-        (US101, {"driven": [2]}, "expected roles from 0 to 1: the leader of 3 vehicles is 2"),
+        (US101, {"driven": [2]}, "expected roles from 0 to 1; the leader is 2"),
         (US101, {"group": {"rule": "car_following", "size": 2}, "driven": [0, 1]}, "expected roles from 0 to 0"),
         (US101, {"graph": {"source": "enforced", "edges": {"4->3": "none"}}}, "expected vehicles from 0 to 2"),
         (
