@@ -22,10 +22,10 @@ from cosim.measures.statistics import (
     with_correction,
 )
 from cosim.world.episode import INTERRUPTED
-from cosim.world.outcome_columns import broken_up, could_have_completed
+from cosim.world.outcome_columns import MOST_ROLES, broken_up, could_have_completed
 
 CELL = ("scenario", "policy", "perturbation", "intensity", "variant", "seed")
-START = ("scenario", "variant", "seed", "vehicle_0", "vehicle_1", "vehicle_2", "takeover_time")
+START = ("scenario", "variant", "seed", *(f"vehicle_{role}" for role in range(MOST_ROLES)), "takeover_time")
 MIN_SEEDS = 6  # a sign-flip test of five clusters cannot reach p < 5 %
 SHORT_TTC = 1.5  # [s]; a shorter time to collision is a conflict (van der Horst and Hogema 1993)
 
@@ -128,7 +128,12 @@ def cluster_note(groups: pd.DataFrame) -> str:
 
 def count_starts(groups: pd.DataFrame) -> int:
     """Number of different starts; a start that was driven at two intensities counts once."""
-    return len(groups.drop_duplicates(list(START)))
+    return len(groups.drop_duplicates(_start_columns(groups)))
+
+
+def _start_columns(groups: pd.DataFrame) -> list[str]:
+    """The columns that name a start; tables of smaller groups have fewer of them."""
+    return [name for name in START if name in groups]
 
 
 def starts_text(starts: int, groups: int) -> str:
@@ -138,7 +143,7 @@ def starts_text(starts: int, groups: int) -> str:
 
 def with_counterparts(groups: pd.DataFrame, counterparts: pd.DataFrame) -> pd.DataFrame:
     """The driven groups, and one counterpart per start; counterparts have the policy name LEFT_TO_SUMO."""
-    once = counterparts.drop_duplicates([*START, "perturbation", "intensity"])
+    once = counterparts.drop_duplicates([*_start_columns(counterparts), "perturbation", "intensity"])
     return pd.concat([groups, once], ignore_index=True) if len(once) else groups
 
 
@@ -169,8 +174,8 @@ def paired_starts(
     With `every_start` also those in which a group broke up.
     """
     complete = _with_cell(groups if every_start else uninterrupted(groups), counterparts=LEFT_TO_SUMO in (a, b))
-    on = [*START, "_cell"]
-    cell = [*START, "perturbation", "intensity"]
+    on = [*_start_columns(complete), "_cell"]
+    cell = [*_start_columns(complete), "perturbation", "intensity"]
     first, second = (complete[complete["policy"] == policy].drop_duplicates(cell) for policy in (a, b))
     both = first.assign(_a=first.index).merge(second.assign(_b=second.index)[[*on, "_b"]], on=on)
     return first.loc[both["_a"]], second.loc[both["_b"]]

@@ -217,7 +217,7 @@ def schema(
     if of == "batch":
         from cosim.batch.spec import json_schema
     else:
-        from cosim.spec.scenario import json_schema
+        from cosim.spec.loading import json_schema
 
     sys.stdout.write(msgspec.json.format(json.dumps(json_schema())) + "\n")
 

@@ -29,8 +29,8 @@ def export(
     It has all vehicles around the group where the run has surroundings. With
     FCD, a second file has the vehicle types with their lengths.
     """
-    from cosim.batch.store import write_whole
     from cosim.show.export.moving_vehicles import vehicles_of
+    from gri.storage.whole_files import write_whole
 
     moving = vehicles_of(run, episode, counterpart)
     path = out or run / f"{moving.name}{'-counterpart' * counterpart}{ENDINGS[kind]}"

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from cosim.batch import spec
-from cosim.spec.scenario import json_schema as scenario_schema
+from cosim.spec.loading import json_schema as scenario_schema
 from gri.table import markdown_table
 
 HEAD = """# Reference of YAML files

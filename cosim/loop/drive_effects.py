@@ -69,15 +69,15 @@ def _effects(spec: Perturbation, plan: Intervention, change: GroupChange, episod
             quantity = "share of steps with vehicle 2"
             yield Effect(spec.kind, spec.intensity, quantity, "", 0.0, float(np.mean(present)), 1.0)
         case LeaderBraking():
-            yield from _braking(spec, episode.feature("v")[take_over:, 2], plan.round.dt)
+            yield from _braking(spec, plan.round.size - 1, episode.feature("v")[take_over:, -1], plan.round.dt)
         case NeighbourCutIn():
-            follower = float(change.start.v[order_of(plan.round.rule)[1]])
+            follower = float(change.start.v[order_of(plan.round.rule)[-2]])
             yield from _cut_in(spec, change, follower, episode.group.time, plan.snapshots)
         case _:
             return
 
 
-def _start(episode: Episode, take_over: int, change: GroupChange, one_lane: bool) -> Float[np.ndarray, "3 C"]:
+def _start(episode: Episode, take_over: int, change: GroupChange, one_lane: bool) -> Float[np.ndarray, "N C"]:
     """The states from which the group started, from the states one step later.
 
     Of a vehicle that a policy drives this inverts a step of the dynamics: v' = v + a·Δt and, in one lane,
@@ -95,8 +95,8 @@ def _start(episode: Episode, take_over: int, change: GroupChange, one_lane: bool
 
 def _shortening(
     spec: HeadwayRatio | RemoveThird,
-    before: Float[np.ndarray, "3 C"],
-    after: Float[np.ndarray, "3 C"],
+    before: Float[np.ndarray, "N C"],
+    after: Float[np.ndarray, "N C"],
     pair: tuple[int, int],
 ) -> Effect:
     follower, leader = pair
@@ -105,13 +105,13 @@ def _shortening(
     return Effect(spec.kind, spec.intensity, quantity, "", spec.intensity, 1 - headways[1] / headways[0], 0.0)
 
 
-def _braking(spec: LeaderBraking, v: Float[np.ndarray, " T"], dt: float) -> Iterator[Effect]:
+def _braking(spec: LeaderBraking, leader: int, v: Float[np.ndarray, " T"], dt: float) -> Iterator[Effect]:
     """Mean braking until the vehicle stands, or to the end of the time for which it brakes."""
     speeds = v[: round(spec.duration / dt) + 1]
     steps = int((speeds[1:] > 1e-6).sum())
     if steps:
         braking = float(speeds[0] - speeds[steps]) / (steps * dt)
-        yield Effect(spec.kind, spec.intensity, "mean braking of vehicle 2", "m/s²", spec.intensity, braking)
+        yield Effect(spec.kind, spec.intensity, f"mean braking of vehicle {leader}", "m/s²", spec.intensity, braking)
 
 
 def _cut_in(
@@ -127,6 +127,6 @@ def _cut_in(
         if now is None or change.successor not in now.ids:
             continue
         row = now.ids.index(change.successor)
-        offset = abs(float(now.d[row]) - float(change.start.d[2]))
+        offset = abs(float(now.d[row]) - float(change.start.d[-1]))
         value = offset if unit == "m" else v_follower - float(now.v[row])
         yield Effect(spec.kind, spec.intensity, quantity, unit, stated, value)

@@ -11,10 +11,10 @@ from functools import partial
 import numpy as np
 import torch
 
-from cosim.loop.graph_source import graph_from_source, keep_where_unknown, smoothed
+from cosim.loop.graph_source import graph_from_source, keep_where_unknown, on_same_pairs, smoothed
 from cosim.loop.intervention import Intervention, NoIntervention
 from cosim.loop.observation import GroupObservation
-from cosim.loop.policy_runner import PolicyRunner
+from cosim.loop.policy_runner import Around, PolicyRunner
 from cosim.loop.returning_vehicles import ReturningVehicles
 from cosim.loop.round_recorder import Round, RoundRecorder, hard_braking
 from cosim.loop.state_layouts import layout_of
@@ -97,10 +97,16 @@ def start_round(
         ),
         reinfer_steps=driver.reinfer,
         channels=intervention.channels(layout, road, len(observations)),
+        around=_around(intervention, now),
     )
     runner.decide(now.time)
     returning = ReturningVehicles(this_round.dt, this_round.lanes)
     return RoundStart(PolicyControl(driver.name, this_round, runner, returning), intervention, now, observations)
+
+
+def _around(intervention: Intervention | NoIntervention, now: Snapshot) -> Around:
+    """The vehicles near the round, and the members of its groups."""
+    return now, [intervention.members(g, now) for g in range(len(intervention.round.groups))]
 
 
 def _graph_to_use(
@@ -141,7 +147,7 @@ def drive(world: Sumo, road: RoadFrame, start: RoundStart) -> list[Episode]:
         recorder.judge(observation, before, now, report, last=step == this_round.driven_steps)
         recorder.end_failed(control.failures, before.time, now.time)
         control.hand_back(world, road, recorder, observation, now, ended=set(active) - set(recorder.active))
-        control.observe(intervention.shown_to_policy(observation, now), recorder.active)
+        control.observe(intervention.shown_to_policy(observation, now), recorder.active, _around(intervention, now))
         observations.append(observation.with_last_known_states(before))
         trace.append(now)
     for watched in range(step, step + this_round.watched_steps):
@@ -187,12 +193,12 @@ def _episodes(
     length: np.ndarray,
     width: np.ndarray,
 ) -> list[Episode]:
-    """One episode per group, with its part of what is `around`; `length` and `width` [m] are of shape (G, 3)."""
+    """One episode per group, with its part of what is `around`; `length` and `width` [m] are of shape (G, N)."""
     this_round = recorder.round
     time = np.array([observation.time for observation in observations])
     state = np.stack([observation.state for observation in observations], axis=1)
     valid = np.stack([observation.valid for observation in observations], axis=1)
-    members = slice(3 if this_round.has_third_vehicle else 2)
+    members = slice(this_round.size if this_round.has_third_vehicle else 2)
     episodes = []
     for g, group in enumerate(this_round.groups):
         end = recorder.ends[g]
@@ -224,6 +230,7 @@ def _graph_over_time(graphs: Sequence[InteractionGraph], g: int) -> InteractionG
     """The graphs of one group as one graph with a row per time; None where there are none."""
     if not graphs:
         return None
+    graphs = on_same_pairs(graphs)
     scores = [graph.unknown[g] for graph in graphs if graph.unknown is not None]
     unknown = torch.stack(scores) if len(scores) == len(graphs) else None
-    return InteractionGraph(torch.stack([graph.logits[g] for graph in graphs]), graphs[0].vocabulary, unknown)
+    return replace(graphs[0], logits=torch.stack([graph.logits[g] for graph in graphs]), unknown=unknown)

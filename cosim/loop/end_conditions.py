@@ -14,17 +14,18 @@ Rows = Int[np.ndarray, " 3"]
 
 
 def car_following(
-    before: Float[np.ndarray, "G 3 C"],
-    now: Float[np.ndarray, "G 3 C"],
-    rows: Int[np.ndarray, "G 3"],
-    ahead: Int[np.ndarray, "G 2"],
+    before: Float[np.ndarray, "G N C"],
+    now: Float[np.ndarray, "G N C"],
+    rows: Int[np.ndarray, "G N"],
+    ahead: Int[np.ndarray, "G F"],
     has_third_vehicle: bool = True,
 ) -> list[Ending | None]:
     """LANE_LEFT where a vehicle left its lane, CUT_IN where another one came between, by group.
 
-    `ahead` are the rows of the next vehicles ahead of vehicles 0 and 1. Without a third vehicle only these two count.
+    `ahead` are the rows of the next vehicles ahead of all vehicles but the leader. Without a third vehicle only
+    vehicles 0 and 1 count.
     """
-    pairs = 2 if has_third_vehicle else 1
+    pairs = ahead.shape[1] if has_third_vehicle else 1
     moved = np.abs(now[..., _D] - before[..., _D]) > SAME_LANE
     broken = ahead[:, :pairs] != rows[:, 1 : pairs + 1]
     if not moved.any() and not broken.any():

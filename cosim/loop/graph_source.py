@@ -1,7 +1,7 @@
 """The graph that a policy uses: the inferred one, or what the scenario prescribes instead."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import torch
@@ -20,13 +20,17 @@ def graph_from_source(
     """
     prescribed = dict(_prescribed(source, rule))
     if not has_third_vehicle:
-        prescribed |= {pair: EdgeType.NONE for pair in pairs(3) if 2 in pair}
+        prescribed |= {pair: EdgeType.NONE for pair in pairs(rule.size) if 2 in pair}
     if not prescribed:
         return graph
-    which = torch.tensor([pair in prescribed for pair in pairs(3)])
-    certain = InteractionGraph.of_edges(prescribed, graph.vocabulary, batch=len(graph))
-    logits = torch.where(which[:, None], certain.logits, graph.logits)
-    return InteractionGraph(logits, graph.vocabulary, graph.unknown)
+    needed = {pair for pair, kind in prescribed.items() if kind is not EdgeType.NONE}
+    if not needed <= set(graph.pairs):
+        graph = graph.on(tuple(sorted(needed | set(graph.pairs))))
+    which = torch.tensor([pair in prescribed for pair in graph.pairs])
+    certain = InteractionGraph.of_edges(
+        prescribed, graph.vocabulary, rule.size, batch=len(graph), candidates=graph.candidates
+    )
+    return replace(graph, logits=torch.where(which[:, None], certain.logits, graph.logits))
 
 
 def keep_where_unknown(graph: InteractionGraph, last: InteractionGraph, source: GraphSource) -> InteractionGraph:
@@ -34,7 +38,14 @@ def keep_where_unknown(graph: InteractionGraph, last: InteractionGraph, source: 
     if graph.unknown is None or not isinstance(source, Inferred) or source.when_unknown == "use":
         return graph
     keep = (graph.unknown > 1)[:, None, None]
-    return InteractionGraph(torch.where(keep, last.logits, graph.logits), graph.vocabulary, graph.unknown)
+    graph, last = on_same_pairs([graph, last])
+    return replace(graph, logits=torch.where(keep, last.logits, graph.logits))
+
+
+def on_same_pairs(graphs: Sequence[InteractionGraph]) -> list[InteractionGraph]:
+    """The graphs on all pairs that are candidates in one of them."""
+    every = tuple(sorted({pair for graph in graphs for pair in graph.pairs}))
+    return [graph.on(every) for graph in graphs]
 
 
 def smoothed(
@@ -48,6 +59,7 @@ def smoothed(
     """
     if not isinstance(source, Inferred) or not source.smoothing:
         return graph
+    graph, last = on_same_pairs([graph, last])
     stay = math.exp(-source.switching_rate * elapsed)
     expected = stay * last.probs + (1 - stay) / last.logits.shape[-1]
     logits = expected.clamp_min(1e-9).log() + min(elapsed / window, 1.0) * graph.logits.log_softmax(-1)
@@ -56,7 +68,7 @@ def smoothed(
 
 def _prescribed(source: GraphSource, rule: GroupRule) -> Mapping[tuple[int, int], EdgeType]:
     """Type of every pair (sender, receiver) that the policy does not infer itself."""
-    none = dict.fromkeys(pairs(3), EdgeType.NONE)
+    none = dict.fromkeys(pairs(rule.size), EdgeType.NONE)
     if isinstance(source, GroundTruth):
         return none | expected_graph(rule)
     if not isinstance(source, Enforced):

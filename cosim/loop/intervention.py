@@ -40,19 +40,19 @@ class GroupChange:
     """What happens to one group at its take-over.
 
     `start` are the states from which it starts, `moved` says which of its vehicles are displaced or have another speed,
-    `plan` is what a background vehicle does, `successor` is the vehicle that cuts in and becomes vehicle 2.
+    `plan` is what a background vehicle does, `successor` is the vehicle that cuts in and becomes the leader.
     """
 
     start: VehicleStates
-    moved: Bool[np.ndarray, " 3"]
+    moved: Bool[np.ndarray, " N"]
     plan: PosePlan | None
     successor: str | None
 
     def has_arrived(self, now: Snapshot) -> bool:
-        """Whether the successor is in the lane of vehicle 2."""
+        """Whether the successor is in the lane of the leader."""
         if self.successor is None or self.successor not in now.ids:
             return False
-        return abs(float(now.d[now.ids.index(self.successor)]) - float(self.start.d[2])) < SAME_LANE
+        return abs(float(now.d[now.ids.index(self.successor)]) - float(self.start.d[-1])) < SAME_LANE
 
 
 @dataclass(frozen=True)
@@ -83,8 +83,8 @@ class Intervention:
         return [*self.round.vehicles, *(change.plan.vehicle for change in self.changes if change.plan is not None)]
 
     def names(self, g: int) -> dict[str, str]:
-        """The names of a group's vehicles by their ids: their roles, and CUTTER for a successor of vehicle 2."""
-        found = dict(zip(self.round.groups[g].ids, "012", strict=True))
+        """The names of a group's vehicles by their ids: their roles, and CUTTER for a successor of the leader."""
+        found = roles_by_id(self.round.groups[g])
         successor = self.changes[g].successor
         return found if successor is None else found | {successor: CUTTER}
 
@@ -93,13 +93,13 @@ class Intervention:
         ids, change = self.round.groups[g].ids, self.changes[g]
         if self.removes_third:
             return ids[:2]
-        return (*ids[:2], change.successor) if change.successor and change.has_arrived(now) else ids
+        return (*ids[:-1], change.successor) if change.successor and change.has_arrived(now) else ids
 
     def repeating(self, speeds: SpeedRecord | None, now: Snapshot) -> "Intervention":
         """The same, in which the vehicles ahead repeat their speeds, but for those that a perturbation changes."""
         if speeds is None or not self.round.groups:
             return self
-        changed = {self.round.groups[g].ids[2] for g, change in enumerate(self.changes) if change.moved[2]}
+        changed = {self.round.groups[g].leader for g, change in enumerate(self.changes) if change.moved[-1]}
         changed |= {change.plan.vehicle for change in self.changes if change.plan is not None}
         return replace(self, ahead=speeds.of({*vehicles_ahead(self.round.groups, now)} - changed))
 
@@ -119,6 +119,7 @@ class Intervention:
             names=names,
             driven_roles=self.round.driven_roles,
             curvature=curvature,
+            size=self.round.size,
         )
         return sensing_and_control(self.perturbations, setting)
 
@@ -133,7 +134,7 @@ class Intervention:
         """Remove vehicles and take those that are to be commanded; a policy drives the `driven_roles`."""
         for group, change in zip(self.round.groups, self.changes, strict=True):
             if self.removes_third:
-                world.remove(group.ids[2])
+                world.remove(group.leader)
             for vehicle in self._displaced_vehicles(group, change, driven_roles):
                 world.take(vehicle)
             if change.plan is not None:
@@ -164,18 +165,18 @@ class Intervention:
 
     def _displaced_vehicles(self, group: Group, change: GroupChange, driven_roles: Sequence[int]) -> dict[str, int]:
         """Displaced vehicles that no policy drives, with their roles."""
-        return {group.ids[r]: r for r in range(3) if change.moved[r] and r not in driven_roles}
+        return {group.ids[r]: r for r in range(len(group.ids)) if change.moved[r] and r not in driven_roles}
 
     def observe(self, world: Sumo, road: RoadFrame) -> Observed:
         """The vehicles near the round after a step, its groups, and the vehicles to record.
 
-        A vehicle that has cut in is vehicle 2 of its group. A removed vehicle 2 is a phantom.
+        A vehicle that has cut in is the leader of its group. A removed vehicle 2 is a phantom.
         """
         now, recorded = _read(world, road, self.round, self.vehicles)
         self.snapshots.append(now.only(is_near(now.s, now.d, rows_of(now.ids, self.vehicles))))
         arrived = [change.has_arrived(now) for change in self.changes]
         groups = [
-            replace(group, ids=(*group.ids[:2], change.successor)) if there else group
+            replace(group, ids=(*group.ids[:-1], change.successor)) if there else group
             for group, change, there in zip(self.round.groups, self.changes, arrived, strict=True)
         ]
         observation = GroupObservation.of(now, groups)
@@ -205,7 +206,7 @@ class Intervention:
         state = observation.state.copy()
         for g, change in enumerate(self.changes):
             if change.successor is not None and change.has_arrived(now):
-                state[g, 2, _S] += change.start.length[2] - now.length[now.ids.index(change.successor)]
+                state[g, -1, _S] += change.start.length[-1] - now.length[now.ids.index(change.successor)]
         return replace(observation, state=state)
 
 
@@ -223,7 +224,7 @@ class NoIntervention:
 
     def names(self, g: int) -> dict[str, str]:
         """The names of a group's vehicles by their ids: their roles."""
-        return dict(zip(self.round.groups[g].ids, "012", strict=True))
+        return roles_by_id(self.round.groups[g])
 
     def members(self, g: int, now: Snapshot) -> tuple[str, ...]:
         """The ids of a group by role."""
@@ -237,7 +238,7 @@ class NoIntervention:
     def channels(self, layout: Layout, road: RoadFrame, history_steps: int) -> SensingAndControl:
         """Perfect sensors and actuators."""
         del road, history_steps
-        return SensingAndControl(layout.dynamics)
+        return SensingAndControl(layout.dynamics, view_of=(0,) * self.round.size)
 
     def displaced_start(self, observation: GroupObservation) -> GroupObservation:
         """The observation as it is."""
@@ -271,6 +272,11 @@ def _read(world: Sumo, road: RoadFrame, this_round: Round, vehicles: list[str]) 
         return world.near_and_all(road, vehicles)
     now = world.snapshot(road, vehicles)
     return now, now
+
+
+def roles_by_id(group: Group) -> dict[str, str]:
+    """The roles of a group's vehicles by their ids."""
+    return {vehicle: str(role) for role, vehicle in enumerate(group.ids)}
 
 
 def _place(world: Sumo, road: RoadFrame, vehicle: str, s: float, d: float, heading: float, v: float) -> None:

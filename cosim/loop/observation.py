@@ -21,16 +21,16 @@ class GroupObservation:
     """
 
     time: float
-    state: Float[np.ndarray, "G 3 C"]
-    valid: Bool[np.ndarray, "G 3"]
-    rows: Int[np.ndarray, "G 3"]
+    state: Float[np.ndarray, "G N C"]
+    valid: Bool[np.ndarray, "G N"]
+    rows: Int[np.ndarray, "G N"]
 
     @classmethod
     def of(cls, snapshot: Snapshot, groups: Sequence[Group]) -> "GroupObservation":
         """The groups' part of a snapshot; the state of absent vehicles is zero."""
         row_of = snapshot.row_of
         found = [row_of.get(vehicle, -1) for group in groups for vehicle in group.ids]
-        rows = np.array(found).reshape(-1, 3)
+        rows = np.array(found, dtype=int).reshape(len(groups), -1)
         valid = rows >= 0
         if -1 not in found:
             return cls(snapshot.time, snapshot.features(rows), valid, rows)

@@ -11,6 +11,7 @@ from torch import Tensor
 from cosim.process.guarded_calls import CallGuard, FatalCall
 from gri.core.dynamics import Dynamics
 from gri.core.graph import InteractionGraph
+from gri.core.nearby import Nearby
 from gri.core.policy import Policy, PolicyState
 from gri.core.trajectory import Trajectory
 
@@ -50,9 +51,16 @@ class OwnPolicy:
         _check_state("begin", state, *history.state.shape[:2])
         return state
 
-    def act(self, memory: PolicyState, state: Float[Tensor, "B N D"]) -> tuple[Float[Tensor, "B N A"], PolicyState]:
+    @property
+    def sees_nearby(self) -> bool:
+        """Whether the policy is to be told who is near."""
+        return bool(getattr(self.policy, "sees_nearby", False))
+
+    def act(
+        self, memory: PolicyState, state: Float[Tensor, "B N D"], *nearby: Nearby
+    ) -> tuple[Float[Tensor, "B N A"], PolicyState]:
         """The actions and the next policy state; numbers in them may still be NaN. Raises `PolicyFailure`."""
-        answer = self._call("act", self.policy.act, memory, state)
+        answer = self._call("act", self.policy.act, memory, state, *nearby)
         if not isinstance(answer, tuple) or len(answer) != 2:
             raise PolicyFailure(f"act returned {_kind(answer)}, expected a pair (action, policy state)")
         action, following = answer
@@ -84,7 +92,8 @@ def _check_state(method: str, state: object, groups: int, vehicles: int) -> None
         return
     if not isinstance(graph, InteractionGraph):
         raise PolicyFailure(f"{method} returned {_kind(graph)} as graph, expected an InteractionGraph or None")
-    wanted = groups, vehicles * (vehicles - 1)
+    pairs = vehicles * (vehicles - 1) if graph.candidates is None else len(graph.candidates)
+    wanted = groups, pairs
     if tuple(graph.logits.shape[:2]) != wanted or not torch.isfinite(graph.logits).all():
         raise PolicyFailure(
             f"{method} returned a graph that is no finite logits of {wanted[0]} groups, {wanted[1]} pairs"

@@ -74,8 +74,8 @@ def _change(
         before,
         after,
         others,
-        present=np.array([True, True, not third_removed]),
-        span=_span(scenario.road.length, this_round.lanes),
+        present=np.array([True] * (this_round.size - 1) + [not third_removed]),
+        span=_span(scenario.road.length, this_round.lanes, this_round.size),
         rule=rule,
         braking=max_braking,
         driven=this_round.driven_roles,
@@ -88,10 +88,10 @@ def _change(
     for spec in scenario.perturbations:
         match spec:
             case LeaderBraking() if spec.intensity > 0:
-                s, d, v = (float(value[2]) for value in (after.s, after.d, after.v))
-                plan = plan_braking(group.ids[2], s, d, v, spec, this_round.dt)
+                s, d, v = (float(value[-1]) for value in (after.s, after.d, after.v))
+                plan = plan_braking(group.leader, s, d, v, spec, this_round.dt)
             case NeighbourCutIn():
-                follower = order_of(this_round.rule)[1]
+                follower = order_of(this_round.rule)[-2]
                 free = np.array([vehicle not in busy for vehicle in names])
                 row = find_cut_in_vehicle(after, follower, others[free], spec)
                 if row is None:
@@ -99,15 +99,15 @@ def _change(
                 row = int(np.flatnonzero(free)[row])
                 successor = names[row]
                 own = float(others.s[row]), float(others.d[row]), float(others.v[row])
-                plan = plan_cut_in(successor, own, float(after.d[2]), float(after.v[follower]), spec, this_round.dt)
+                plan = plan_cut_in(successor, own, float(after.d[-1]), float(after.v[follower]), spec, this_round.dt)
     if plan is not None and _unavoidable_contact(plan, after, everyone, now, this_round.dt, max_braking):
         return Infeasible.UNAVOIDABLE
     return GroupChange(after, (before.s != after.s) | (before.v != after.v), plan, successor)
 
 
-def _span(length: float, lanes: MergeLanes | None) -> Float[np.ndarray, "3 2"]:
+def _span(length: float, lanes: MergeLanes | None, size: int) -> Float[np.ndarray, "N 2"]:
     """The range of s [m] in which each vehicle can start; for a merging vehicle it is the lane that ends."""
-    span = np.array([[0.0, length]] * 3)
+    span = np.array([[0.0, length]] * size)
     if lanes is not None:
         span[0] = lanes.source.begin, lanes.source.end
     return span
@@ -126,11 +126,11 @@ def _sides(lanes: MergeLanes | None) -> tuple[float, float] | None:
 def _unavoidable_contact(
     plan: PosePlan, group: VehicleStates, everyone: VehicleStates, now: Snapshot, dt: float, max_braking: float
 ) -> bool:
-    """Whether vehicle 0 or 1, in the plan's lane, runs into the planned vehicle even if it brakes from the start."""
+    """Whether a follower in the plan's lane runs into the planned vehicle even if it brakes from the start."""
     row = now.ids.index(plan.vehicle)
     length, width = everyone.length[row], everyone.width[row]
     speeds = np.concatenate([[everyone.v[row]], plan.v])
-    for role in (0, 1):
+    for role in range(len(group.s) - 1):
         in_lane = abs(group.d[role] - plan.d[-1]) < 0.5 * (group.width[role] + width)
         gap = float(everyone.s[row] - length - group.s[role])
         if in_lane and gap > 0 and collides_despite_braking(gap, float(group.v[role]), speeds, dt, max_braking):

@@ -1,7 +1,7 @@
 """Runs a policy for all groups of a round: observed states in, one model call, commanded poses out."""
 
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,18 +9,22 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from cosim.loop.nearby_vehicles import nearby_vehicles
 from cosim.loop.observation import GroupObservation
 from cosim.loop.own_policy import PolicyFailure
 from cosim.loop.state_layouts import Layout
 from cosim.perturb.effects import Effect
 from cosim.perturb.sensing_and_control import SensingAndControl
 from cosim.world.episode import COLUMNS
-from gri.core.graph import InteractionGraph, pairs
+from cosim.world.snapshot import Snapshot
+from gri.core.graph import InteractionGraph
 from gri.core.policy import Policy, PolicyState
 from gri.core.trajectory import Trajectory
 
 _A = COLUMNS.index("a")
 LARGEST = 1e6  # of any action in SI units, far beyond what a vehicle can do
+Around = tuple[Snapshot, Sequence[Collection[str]]]
+"""All vehicles near the round, and the ids of the members of each group."""
 GraphOverride = Callable[[InteractionGraph, InteractionGraph | None], InteractionGraph]
 
 
@@ -32,6 +36,7 @@ class PolicyRunner:
     inferred graph and the last one (None at first) into the one that the policy uses. `reinfer_steps` says how often
     the graph is inferred again (0: never). `channels` are the perturbed sensors and actuators. Where the driven
     vehicles have a view each, the policy gets the groups once per view, and each role is driven by its own view.
+    `around` are the vehicles near the round at its start, for policies that look at them (`sees_nearby`).
     `graphs` are the graphs used so far, each with its time [s]; an effect on a vehicle is the one in the view that
     drives it.
     """
@@ -48,6 +53,7 @@ class PolicyRunner:
         override_graph: GraphOverride,
         reinfer_steps: int,
         channels: SensingAndControl,
+        around: Around | None = None,
     ) -> None:
         assert policy.dynamics.name is layout.dynamics.name, f"cannot drive {policy.dynamics.name} states here"
         self._policy, self._layout, self._dt = policy, layout, dt
@@ -66,6 +72,7 @@ class PolicyRunner:
         self._steps, self._took_over = 0, history[-1].time
         self.graphs: list[tuple[float, InteractionGraph]] = []
         self.failures: dict[int, str] = {}  # groups for which the policy has given no usable answer, and why
+        self._around = around
         self._action_now = torch.zeros(*self._state.shape[:2], len(policy.dynamics.action))
         self._memory = PolicyState.empty(Trajectory.complete(_relative(np.stack(self._window, axis=2)), self._period))
         try:
@@ -106,15 +113,15 @@ class PolicyRunner:
         self._steps += 1
         self.pose = self._layout.pose(self._commanded)
 
-    def _observed(self) -> Float[np.ndarray, "V 3 D"]:
+    def _observed(self) -> Float[np.ndarray, "V N D"]:
         """The present states as the channels show them, in each view."""
         return self._channels.observed(torch.from_numpy(self._state)).flatten(0, 1).numpy()
 
-    def states_for_policy(self) -> Float[Tensor, "V 3 D"]:
+    def states_for_policy(self) -> Float[Tensor, "V N D"]:
         """What the policy would get now; after the end of a drive, the states in which it ended."""
         return _relative(self._observed())
 
-    def _action(self, observed: Float[np.ndarray, "V 3 D"], time: float) -> Float[Tensor, "V 3 A"]:
+    def _action(self, observed: Float[np.ndarray, "V N D"], time: float) -> Float[Tensor, "V N A"]:
         """The policy's action in each view, from a new graph where it is time for one; 0 where the policy fails."""
         nothing = torch.zeros(*observed.shape[:2], len(self._dynamics.action))
         if len(self.failures) == len(self._state):
@@ -125,13 +132,23 @@ class PolicyRunner:
                 if self._steps % self._reinfer_steps == 0:
                     self._memory = replace(self._memory, graph=self._infer_graph(self._memory.graph).graph)
                     self._record_graph(time)
-            action, self._memory = self._policy.act(self._memory, _relative(observed))
+            action, self._memory = self._act(_relative(observed))
         except PolicyFailure as failure:
             self._fail(range(len(self._state)), str(failure))
             return nothing
         return action
 
-    def _usable(self, action: Float[Tensor, "G 3 A"]) -> Float[Tensor, "G 3 A"]:
+    def _act(self, state: Float[Tensor, "V N D"]) -> tuple[Float[Tensor, "V N A"], PolicyState]:
+        """The policy's answer; one that looks at more than its groups is told who is near."""
+        if self._around is None or not getattr(self._policy, "sees_nearby", False):
+            return self._policy.act(self._memory, state)
+        nearby = nearby_vehicles(*self._around, self._layout.pose(self._state))
+        if self._channels.views > 1:
+            nearby = nearby.repeated(self._channels.views)
+        act: Callable[..., tuple[Tensor, PolicyState]] = self._policy.act
+        return act(self._memory, state, nearby)
+
+    def _usable(self, action: Float[Tensor, "G N A"]) -> Float[Tensor, "G N A"]:
         """The action with 0 for what no vehicle can do; a group with such an action of a driven vehicle has failed."""
         if (np.abs(action.numpy()) <= LARGEST).all():
             return action
@@ -144,7 +161,7 @@ class PolicyRunner:
     def _fail(self, groups: Iterable[int], reason: str) -> None:
         self.failures = {g: reason for g in groups} | self.failures
 
-    def _of_own_view(self, action: Float[Tensor, "V 3 A"]) -> Float[Tensor, "G 3 A"]:
+    def _of_own_view(self, action: Float[Tensor, "V N A"]) -> Float[Tensor, "G N A"]:
         """The action of each role from the view that drives it."""
         if self._channels.views == 1:
             return action
@@ -155,7 +172,7 @@ class PolicyRunner:
         """What perturbed sensors and actuators did to a group that was driven until `end` [s]."""
         return self._channels.effects(group, max(round((end - self._took_over) / self._dt), 1))
 
-    def _next_state(self, action: Float[np.ndarray, "G 3 A"]) -> Float[np.ndarray, "G 3 D"]:
+    def _next_state(self, action: Float[np.ndarray, "G N A"]) -> Float[np.ndarray, "G N D"]:
         """The next state by the dynamics, within what the road surface allows; no vehicle drives backwards."""
         following = self._layout.in_bends(self._state, self._dynamics.step(self._state, action, self._dt))
         following = self._channels.feasible_state(torch.from_numpy(following)).numpy()
@@ -163,8 +180,9 @@ class PolicyRunner:
             return following
         return self._dynamics.stop(torch.from_numpy(self._state), torch.from_numpy(following)).numpy()
 
-    def observe(self, observation: GroupObservation, active: Sequence[int]) -> None:
+    def observe(self, observation: GroupObservation, active: Sequence[int], around: Around | None = None) -> None:
         """Read the vehicles' new states; driven vehicles are where the dynamics put them."""
+        self._around = around
         driven = self._driven(active)[..., None]
         self._state = np.where(driven, self._commanded, self._layout.states(observation.state))
 
@@ -174,7 +192,7 @@ class PolicyRunner:
         np.copyto(state[..., _A], self.pose.a, where=self._driven(active))
         return GroupObservation(observation.time, state, observation.valid, observation.rows)
 
-    def _driven(self, active: Sequence[int]) -> Bool[np.ndarray, "G 3"]:
+    def _driven(self, active: Sequence[int]) -> Bool[np.ndarray, "G N"]:
         """The vehicles that the policy drives, in the active groups."""
         if self._mask is None or self._mask[0] != active:
             mask = np.zeros(self._state.shape[:2], dtype=bool)
@@ -189,14 +207,14 @@ def _graph_of_views(graph: InteractionGraph, view_of: Sequence[int]) -> Interact
     if views == 1:
         return graph
     logits = graph.logits.unflatten(0, (views, -1))
-    of_receivers = torch.stack([logits[view_of[receiver], :, k] for k, (_, receiver) in enumerate(pairs(3))], 1)
+    of_receivers = torch.stack([logits[view_of[receiver], :, k] for k, (_, receiver) in enumerate(graph.pairs)], 1)
     unknown = None if graph.unknown is None else graph.unknown.unflatten(0, (views, -1)).amax(0)
-    return InteractionGraph(of_receivers, graph.vocabulary, unknown)
+    return replace(graph, logits=of_receivers, unknown=unknown)
 
 
-def _relative(state: Float[np.ndarray, "G 3 *T D"]) -> Float[Tensor, "G 3 *T D"]:
+def _relative(state: Float[np.ndarray, "G N *T D"]) -> Float[Tensor, "G N *T D"]:
     """float32 states with x counted from the leader's latest position, where float32 is finest."""
-    latest = state[:, 2:3, 0] if state.ndim == 3 else state[:, 2:3, -1:, 0]
+    latest = state[:, -1:, 0] if state.ndim == 3 else state[:, -1:, -1:, 0]
     counted = state.copy()
     counted[..., 0] -= latest
     return torch.from_numpy(counted.astype(np.float32))

@@ -17,7 +17,6 @@ from cosim.world.hand_back_columns import BRAKING, BRAKING_WINDOW
 from cosim.world.snapshot import Snapshot, StepReport
 
 PLACEMENT_TOLERANCE = 1e-6  # [m], [m/s]
-CONTACT_ROLES = 2  # the roles 0 and 1 are tested for contacts, driven or not
 _S, _D, _V, _A = (COLUMNS.index(name) for name in ("s", "d", "v", "a"))
 
 
@@ -43,6 +42,11 @@ class Round:
     reads_all: bool = False
 
     @property
+    def size(self) -> int:
+        """The number of vehicles of a group."""
+        return self.rule.size
+
+    @property
     def vehicles(self) -> list[str]:
         """The vehicles of all groups."""
         return [vehicle for group in self.groups for vehicle in group.ids]
@@ -55,9 +59,9 @@ class Round:
 class RoundRecorder:
     """The endings and events of a round so far; `width` [m] are the vehicles' widths."""
 
-    def __init__(self, this_round: Round, width: Float[np.ndarray, "G 3"]) -> None:
+    def __init__(self, this_round: Round, width: Float[np.ndarray, "G N"]) -> None:
         self.round, self._width, self._driven_roles = this_round, width, list(this_round.driven_roles)
-        self._undriven = np.array([role not in this_round.driven_roles for role in range(3)])
+        self._undriven = np.array([role not in this_round.driven_roles for role in range(this_round.size)])
         self._steps_inside = np.zeros(
             len(this_round.groups), dtype=int
         )  # of vehicle 0 in the target lane, at a stretch
@@ -71,10 +75,10 @@ class RoundRecorder:
         """Record an event of a group."""
         self.events[g].append(event)
 
-    def driven(self, time: Float[np.ndarray, " T"], g: int, roles: Sequence[int]) -> Bool[np.ndarray, "T 3"]:
+    def driven(self, time: Float[np.ndarray, " T"], g: int, roles: Sequence[int]) -> Bool[np.ndarray, "T N"]:
         """The instants, from the first command to the end, at which these roles stood where they were commanded to."""
         when = (time > self.round.groups[g].time + 1e-6) & (time <= self.ends[g] + 1e-6)
-        return when[:, None] & np.array([role in roles for role in range(3)])
+        return when[:, None] & np.array([role in roles for role in range(self.round.size)])
 
     def verify(self, observation: GroupObservation, commanded: Pose) -> None:
         """Record every driven vehicle that vanished, or whose place or speed is not as the dynamics say."""
@@ -141,7 +145,8 @@ class RoundRecorder:
         """What the group rule says of each group that has not ended yet."""
         this_round = self.round
         if not isinstance(this_round.rule, Merge):
-            ahead = next_ahead(snapshot, observation.rows[:, :2].ravel()).reshape(-1, 2)
+            followers = observation.rows[:, :-1]
+            ahead = next_ahead(snapshot, followers.ravel()).reshape(followers.shape)
             return end_conditions.car_following(
                 before.state, observation.state, observation.rows, ahead, this_round.has_third_vehicle
             )
@@ -173,8 +178,9 @@ class RoundRecorder:
         The contacts themselves are recorded for the drive and its aftermath at once, by `cosim.world.contacts`.
         """
         active = self.active
-        rows = observation.rows[active, :CONTACT_ROLES]
-        rows = rows.ravel() if observation.complete else rows[observation.valid[active, :CONTACT_ROLES]]
+        followers = slice(self.round.size - 1)  # they are tested for contacts, driven or not
+        rows = observation.rows[active, followers]
+        rows = rows.ravel() if observation.complete else rows[observation.valid[active, followers]]
         hits = touching_pairs(snapshot, rows)
         ours = {frozenset((snapshot.ids[i], snapshot.ids[j])) for i, j in hits.tolist()}
         theirs = {frozenset(pair) for pair in report.collisions}
@@ -182,7 +188,7 @@ class RoundRecorder:
             return set()
         in_contact = set()
         for g in active:
-            members = set(self.round.groups[g].ids[:CONTACT_ROLES])
+            members = set(self.round.groups[g].ids[followers])
             for kind, pairs in ((EventKind.SUMO_COLLISION, theirs), (EventKind.DISAGREEMENT, ours ^ theirs)):
                 own = sorted(_rear_first(snapshot, pair) for pair in pairs if pair & members)
                 self.events[g] += [Event(observation.time, kind, pair) for pair in own]

@@ -42,25 +42,25 @@ class LongitudinalLayout:
     it, `lateral` [m] are the lateral positions d.
     """
 
-    offset: Float[np.ndarray, "G 3"]
-    lateral: Float[np.ndarray, "G 3"]
+    offset: Float[np.ndarray, "G N"]
+    lateral: Float[np.ndarray, "G N"]
     lines: tuple[LaneLine, ...] | None = None
     dynamics: Dynamics = POINT_MASS_1D
 
-    def states(self, observed: Float[np.ndarray, "G 3 C"]) -> Float[np.ndarray, "G 3 3"]:
+    def states(self, observed: Float[np.ndarray, "G N C"]) -> Float[np.ndarray, "G N 3"]:
         """Model states (float64) of vehicles with the features of COLUMNS."""
         states = observed[..., [_S, _V, _A]]
         states[..., 0] = _driven(self.lines, states[..., 0]) + self.offset
         return states
 
-    def pose(self, state: Float[np.ndarray, "G 3 3"]) -> Pose:
+    def pose(self, state: Float[np.ndarray, "G N 3"]) -> Pose:
         """The poses of model states."""
         x, v, a = (state[..., feature] for feature in range(3))
         return Pose(_s_at(self.lines, x - self.offset), self.lateral, np.zeros(x.shape), v, a)
 
     def in_bends(
-        self, before: Float[np.ndarray, "G 3 3"], after: Float[np.ndarray, "G 3 3"]
-    ) -> Float[np.ndarray, "G 3 3"]:
+        self, before: Float[np.ndarray, "G N 3"], after: Float[np.ndarray, "G N 3"]
+    ) -> Float[np.ndarray, "G N 3"]:
         """The states after a step as they are: x counts along the lane that is driven."""
         del before
         return after
@@ -99,7 +99,7 @@ class PlanarLayout:
     that of the vehicles that it drives is 0.
     """
 
-    offset: Float[np.ndarray, "G 3"]
+    offset: Float[np.ndarray, "G N"]
     target: Float[np.ndarray, "G 1"]
     """d [m] of the centre of the target lane."""
     road: RoadFrame
@@ -108,7 +108,7 @@ class PlanarLayout:
     ramp: RampPath | None = None
     dynamics: Dynamics = DUBINS
 
-    def states(self, observed: Float[np.ndarray, "G 3 C"]) -> Float[np.ndarray, "G 3 6"]:
+    def states(self, observed: Float[np.ndarray, "G N C"]) -> Float[np.ndarray, "G N 6"]:
         """Model states (float64) of vehicles with the features of COLUMNS."""
         s = observed[..., _S]
         turn = self.road.side * (observed[..., _HEADING] - self.road.heading_at(s.ravel()).reshape(s.shape))
@@ -122,7 +122,7 @@ class PlanarLayout:
             states = self._kept_on_ramp(states)
         return states
 
-    def pose(self, state: Float[np.ndarray, "G 3 6"]) -> Pose:
+    def pose(self, state: Float[np.ndarray, "G N 6"]) -> Pose:
         """The poses of model states."""
         x, y, v, heading, a, _ = (state[..., feature] for feature in range(6))
         s, d, turn = _s_at(self.lines, x - self.offset), self.side * y + self.target, self.side * heading
@@ -144,8 +144,8 @@ class PlanarLayout:
         return states
 
     def in_bends(
-        self, before: Float[np.ndarray, "G 3 6"], after: Float[np.ndarray, "G 3 6"]
-    ) -> Float[np.ndarray, "G 3 6"]:
+        self, before: Float[np.ndarray, "G N 6"], after: Float[np.ndarray, "G N 6"]
+    ) -> Float[np.ndarray, "G N 6"]:
         """The states after a step, with the way along x that a vehicle at y drives in it; a ramp is followed."""
         if self.ramp is not None:
             after = self._kept_on_ramp(after)
@@ -165,15 +165,15 @@ Layout = LongitudinalLayout | PlanarLayout
 def layout_of(
     rule: GroupRule,
     road: RoadFrame,
-    observed: Float[np.ndarray, "G 3 C"],
-    length: Float[np.ndarray, "G 3"],
+    observed: Float[np.ndarray, "G N C"],
+    length: Float[np.ndarray, "G N"],
     lanes: MergeLanes | None = None,
 ) -> Layout:
     """The layout for a group rule, from the states and lengths [m] observed at the take-over.
 
     `lanes` are those of a merge.
     """
-    found = [road.line_at(float(d)) for d in observed[:, 2, _D]]
+    found = [road.line_at(float(d)) for d in observed[:, -1, _D]]
     lines = tuple(line for line in found if line is not None) or None
     if isinstance(rule, CarFollowing):
         return LongitudinalLayout(model_offsets(length), observed[..., _D], lines)
@@ -183,16 +183,16 @@ def layout_of(
     return PlanarLayout(offsets, target, road, side, lines, ramp)
 
 
-def _driven(lines: tuple[LaneLine, ...] | None, s: Float[np.ndarray, "G R"]) -> Float[np.ndarray, "G R"]:
+def _driven(lines: tuple[LaneLine, ...] | None, s: Float[np.ndarray, "G N"]) -> Float[np.ndarray, "G N"]:
     """The distance along the line of each group."""
     return s if lines is None else np.stack([line.driven(of) for line, of in zip(lines, s, strict=True)])
 
 
-def _s_at(lines: tuple[LaneLine, ...] | None, distance: Float[np.ndarray, "G R"]) -> Float[np.ndarray, "G R"]:
+def _s_at(lines: tuple[LaneLine, ...] | None, distance: Float[np.ndarray, "G N"]) -> Float[np.ndarray, "G N"]:
     """s [m] at a distance along the line of each group."""
     return distance if lines is None else np.stack([line.s_at(of) for line, of in zip(lines, distance, strict=True)])
 
 
-def _wrapped(angle: Float[np.ndarray, "G R"]) -> Float[np.ndarray, "G R"]:
+def _wrapped(angle: Float[np.ndarray, "G N"]) -> Float[np.ndarray, "G N"]:
     """The same angle in [−π, π)."""
     return (angle + np.pi) % (2 * np.pi) - np.pi

@@ -13,7 +13,7 @@ import numpy as np
 
 from cosim.loop import shadow_vehicles
 from cosim.loop.observation import GroupObservation
-from cosim.loop.policy_runner import PolicyRunner
+from cosim.loop.policy_runner import Around, PolicyRunner
 from cosim.loop.returning_vehicles import ReturningVehicles, stop_of
 from cosim.loop.round_recorder import Round, RoundRecorder
 from cosim.sumo import Sumo
@@ -80,7 +80,7 @@ class PolicyControl:
         )
         for g in active:
             for role in this_round.driven_roles:
-                vehicle, lane, k = this_round.groups[g].ids[role], "", 3 * g + role
+                vehicle, lane, k = this_round.groups[g].ids[role], "", this_round.size * g + role
                 if this_round.lanes is not None and role == 0:
                     lane = shadow_vehicles.place(
                         world, road, vehicle, pose.of(g, role), this_round.lanes, now, this_round.dt
@@ -141,9 +141,9 @@ class PolicyControl:
                     braking[vehicle] = max(value, braking.get(vehicle, 0.0))
         return braking
 
-    def observe(self, observation: GroupObservation, active: Sequence[int]) -> None:
-        """Show the policy the new states."""
-        self.runner.observe(observation, active)
+    def observe(self, observation: GroupObservation, active: Sequence[int], around: Around | None = None) -> None:
+        """Show the policy the new states, and the vehicles around."""
+        self.runner.observe(observation, active, around)
 
 
 @dataclass(frozen=True)
@@ -180,7 +180,7 @@ class SumoControl:
     ) -> None:
         """Hand nothing back."""
 
-    def observe(self, observation: GroupObservation, active: Sequence[int]) -> None:
+    def observe(self, observation: GroupObservation, active: Sequence[int], around: Around | None = None) -> None:
         """Show nothing to any policy."""
 
 

@@ -95,7 +95,7 @@ class Trunk:
         return Round(
             groups=groups,
             rule=scenario.group,
-            driven_roles=scenario.driven,
+            driven_roles=scenario.driven_roles,
             driven_steps=scenario.steps(scenario.horizon),
             watched_steps=scenario.steps(scenario.watch),
             dt=scenario.step,

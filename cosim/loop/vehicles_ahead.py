@@ -18,8 +18,8 @@ from cosim.world.snapshot import Snapshot
 
 
 def vehicles_ahead(groups: Sequence[Group], now: Snapshot) -> tuple[str, ...]:
-    """The vehicle 2 of the groups that is farthest back, and all vehicles beside it or ahead of it."""
-    rearmost = now.s[[now.row_of[group.ids[2]] for group in groups]].min()
+    """The leader of the groups that is farthest back, and all vehicles beside it or ahead of it."""
+    rearmost = now.s[[now.row_of[group.leader] for group in groups]].min()
     return tuple(compress(now.ids, now.s >= rearmost))
 
 

@@ -36,13 +36,13 @@ def plan_braking(vehicle: str, s: float, d: float, v: float, spec: LeaderBraking
 
 
 def find_cut_in_vehicle(group: VehicleStates, follower: int, others: VehicleStates, spec: NeighbourCutIn) -> int | None:
-    """Row of the vehicle that is to cut in between vehicle 2 and its follower; None where no vehicle can.
+    """Row of the vehicle that is to cut in between the leader and its follower; None where no vehicle can.
 
-    It is in a lane beside that of vehicle 2 and, along the road, clear of both vehicles by `spec.clearance` [m]. Of
+    It is in a lane beside that of the leader and, along the road, clear of both vehicles by `spec.clearance` [m]. Of
     several the one nearest to the follower is taken.
     """
-    low, high = group.s[follower] + spec.clearance, group.s[2] - group.length[2] - spec.clearance
-    across = np.abs(others.d - group.d[2])
+    low, high = group.s[follower] + spec.clearance, group.s[-1] - group.length[-1] - spec.clearance
+    across = np.abs(others.d - group.d[-1])
     beside = (across > 0.5 * LANE_WIDTH) & (across < 1.5 * LANE_WIDTH)
     fits = np.flatnonzero(beside & (others.s - others.length > low) & (others.s < high))
     return int(fits[np.argmin(others.s[fits])]) if len(fits) else None

@@ -45,7 +45,7 @@ MERGE = HeadwayRule(pair=(0, 2), pair_without_third=(1, 0), one_lane=False)
 
 
 def displaced(group: VehicleStates, perturbations: Sequence[Perturbation], rule: HeadwayRule) -> VehicleStates:
-    """The group (roles 0, 1, 2) with its perturbed start."""
+    """The group with its perturbed start."""
     s, v = group.s.copy(), group.v.copy()
     for perturbation in perturbations:
         match perturbation:
@@ -60,7 +60,7 @@ def displaced(group: VehicleStates, perturbations: Sequence[Perturbation], rule:
     return replace(group, s=s, v=v)
 
 
-def _shorten(s: Float[np.ndarray, " 3"], pair: tuple[int, int], ratio: float) -> None:
+def _shorten(s: Float[np.ndarray, " N"], pair: tuple[int, int], ratio: float) -> None:
     """Shorten a headway in place: Δx' = (1 − δ)·Δx."""
     follower, leader = pair
     s[follower] += ratio * (s[leader] - s[follower])
@@ -71,8 +71,8 @@ def infeasibility(
     after: VehicleStates,
     others: VehicleStates,
     *,
-    present: Bool[np.ndarray, " 3"],
-    span: Float[np.ndarray, "3 2"],
+    present: Bool[np.ndarray, " N"],
+    span: Float[np.ndarray, "N 2"],
     rule: HeadwayRule,
     braking: float = BRAKING,
     driven: Sequence[int] = (0, 1),
@@ -81,7 +81,7 @@ def infeasibility(
     """Why the start `after` is infeasible; None where it is feasible.
 
     `others` are the vehicles around the group. `present` says which vehicles of the group are not removed. `span` [m]
-    is the range of s in which each of the three vehicles can be, `braking` [m/s²] the hardest possible braking. The
+    is the range of s in which each of its vehicles can be, `braking` [m/s²] the hardest possible braking. The
     policy drives the roles in `driven`, which are present. `sides` is the range of d [m] of the road; None where
     vehicles cannot leave their lane.
     """

@@ -26,13 +26,14 @@ from cosim.spec.perturbations import (
     PerceptionLatency,
     Perturbation,
 )
+from cosim.spec.scenario import USUAL_SIZE
 from gri.core.dynamics import Dynamics
 
-States = Float[Tensor, "G 3 D"]
+States = Float[Tensor, "G N D"]
 Filter = Callable[[Sequence[Tensor]], Tensor]
 """All values so far, the present one last -> what comes out at present."""
 Measure = Callable[[np.ndarray, np.ndarray], list[Effect]]
-"""What went into a filter and what came out for one group, of shape (T, views, 3, features) -> its effects."""
+"""What went into a filter and what came out for one group, of shape (T, views, N, features) -> its effects."""
 OWN = ("a", "yaw_rate")  # features that a driver feels, or has commanded itself
 MIN_SPEED = 0.1  # [m/s]; slower vehicles have no lateral acceleration
 
@@ -41,9 +42,9 @@ MIN_SPEED = 0.1  # [m/s]; slower vehicles have no lateral acceleration
 class RoundSetting:
     """What the channels depend on in a round.
 
-    `names` identify its groups, `driven_roles` are the roles that the policy drives, `steps` is the largest number of
-    observations, those of the history included, `dt` [s] is the length of a step. `curvature` gives the curvature of
-    the road [1/m] at the place of each vehicle.
+    `names` identify its groups of `size` vehicles, `driven_roles` are the roles that the policy drives, `steps` is the
+    largest number of observations, those of the history included, `dt` [s] is the length of a step. `curvature` gives
+    the curvature of the road [1/m] at the place of each vehicle.
     """
 
     dynamics: Dynamics
@@ -52,7 +53,8 @@ class RoundSetting:
     seed: int
     names: tuple[str, ...]
     driven_roles: tuple[int, ...]
-    curvature: Callable[[States], Float[Tensor, "G 3"]]
+    curvature: Callable[[States], Float[Tensor, "G N"]]
+    size: int = USUAL_SIZE
 
 
 @dataclass(frozen=True)
@@ -109,9 +111,9 @@ class Road:
 
     spec: LowFriction
     limit: float
-    curvature: Callable[[States], Float[Tensor, "G 3"]]
-    demanded: list[Float[Tensor, "G 3"]] = field(default_factory=list)
-    possible: list[Float[Tensor, "G 3"]] = field(default_factory=list)
+    curvature: Callable[[States], Float[Tensor, "G N"]]
+    demanded: list[Float[Tensor, "G N"]] = field(default_factory=list)
+    possible: list[Float[Tensor, "G N"]] = field(default_factory=list)
 
     def cut(self, state: States, dynamics: Dynamics) -> States:
         """The state with a total acceleration inside the friction circle.
@@ -160,8 +162,8 @@ class SensingAndControl:
     dynamics: Dynamics
     observation: Channel = field(default_factory=Channel)
     action: Channel = field(default_factory=Channel)
-    known: Bool[Tensor, "E 3 D"] | None = None
-    view_of: tuple[int, ...] = (0, 0, 0)
+    known: Bool[Tensor, "E N D"] | None = None
+    view_of: tuple[int, ...] = (0,) * USUAL_SIZE
     driven_roles: tuple[int, ...] = ()
     road: Road | None = None
 
@@ -170,7 +172,7 @@ class SensingAndControl:
         """The number of views."""
         return max(self.view_of) + 1
 
-    def observed(self, state: States, *, final: bool = True) -> Float[Tensor, "E G 3 D"]:
+    def observed(self, state: States, *, final: bool = True) -> Float[Tensor, "E G N D"]:
         """What each view shows of the state; with `final=False` only what it would show."""
         views = state.expand(self.views, *state.shape)
         if not self.observation.stages:
@@ -178,7 +180,7 @@ class SensingAndControl:
         shown = self.observation.send(views) if final else self.observation.preview(views)
         return shown if self.known is None else torch.where(self.known[:, None], views, shown)
 
-    def executed_action(self, action: Float[Tensor, "G 3 A"]) -> Float[Tensor, "G 3 A"]:
+    def executed_action(self, action: Float[Tensor, "G N A"]) -> Float[Tensor, "G N A"]:
         """The action that the vehicle executes."""
         return self.action.send(action[None])[0] if self.action.stages else action
 
@@ -196,7 +198,7 @@ def sensing_and_control(perturbations: Sequence[Perturbation], setting: RoundSet
     """The channels under these perturbations; other kinds of perturbations change nothing here."""
     own_views = any(isinstance(spec, PerceptionLatency | LocalizationLatency) for spec in perturbations)
     views = tuple((role,) for role in setting.driven_roles) if own_views else (setting.driven_roles,)
-    own = torch.tensor([[role in roles for role in range(3)] for roles in views])
+    own = torch.tensor([[role in roles for role in range(setting.size)] for roles in views])
     observation: list[Stage] = []
     action: list[Stage] = []
     frictions: list[LowFriction] = []
@@ -223,7 +225,7 @@ def sensing_and_control(perturbations: Sequence[Perturbation], setting: RoundSet
         observation=Channel.of(observation),
         action=Channel.of(action),
         known=own[..., None] & feels,
-        view_of=tuple(next((k for k, roles in enumerate(views) if role in roles), 0) for role in range(3)),
+        view_of=tuple(next((k for k, roles in enumerate(views) if role in roles), 0) for role in range(setting.size)),
         driven_roles=setting.driven_roles,
         road=None if slippery is None else Road(slippery, slippery.intensity * GRAVITY, setting.curvature),
     )
@@ -238,9 +240,11 @@ def _rng(kind: str, setting: RoundSetting, group: str) -> np.random.Generator:
     return np.random.default_rng([setting.seed, crc32(group.encode()), crc32(kind.encode())])
 
 
-def _noise(kind: str, setting: RoundSetting, sigma: Sequence[float]) -> Float[Tensor, "T G 3 F"]:
+def _noise(kind: str, setting: RoundSetting, sigma: Sequence[float]) -> Float[Tensor, "T G N F"]:
     """White noise with these standard deviations for every step, group and vehicle."""
-    drawn = [_rng(kind, setting, name).standard_normal((setting.steps, 3, len(sigma))) for name in setting.names]
+    drawn = [
+        _rng(kind, setting, name).standard_normal((setting.steps, setting.size, len(sigma))) for name in setting.names
+    ]
     return torch.from_numpy(np.stack(drawn, axis=1) * np.array(sigma))
 
 
@@ -264,10 +268,12 @@ def _observation_noise(spec: ObservationNoise, setting: RoundSetting) -> Stage:
 
 def _dropout(spec: Dropout, setting: RoundSetting) -> Stage:
     """Lose states at random and show the last one received; the first state is always received."""
-    lost = [_rng(spec.kind, setting, name).random((setting.steps, 3)) < spec.intensity for name in setting.names]
+    lost = [
+        _rng(spec.kind, setting, name).random((setting.steps, setting.size)) < spec.intensity for name in setting.names
+    ]
     step = np.arange(setting.steps)[:, None, None]
     received = np.maximum.accumulate(np.where(np.stack(lost, axis=1) & (step > 0), 0, step), axis=0)
-    latest = torch.from_numpy(received)  # step of the last received state, of shape (T, G, 3)
+    latest = torch.from_numpy(received)  # step of the last received state, of shape (T, G, N)
 
     def hold(seen: Sequence[Tensor]) -> Tensor:
         at = latest[len(seen) - 1]
@@ -283,7 +289,7 @@ def _dropout(spec: Dropout, setting: RoundSetting) -> Stage:
     return Stage(hold, measure)
 
 
-def _latency(spec: PerceptionLatency | LocalizationLatency, setting: RoundSetting, late: Bool[Tensor, "E 3"]) -> Stage:
+def _latency(spec: PerceptionLatency | LocalizationLatency, setting: RoundSetting, late: Bool[Tensor, "E N"]) -> Stage:
     """Show the vehicles that are `late` in a view as they were some steps ago.
 
     Before the first observation, a vehicle is taken to have driven straight on at its first speed.

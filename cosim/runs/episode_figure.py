@@ -15,14 +15,12 @@ from matplotlib.patches import Circle, FancyArrowPatch
 from cosim.runs.road_picture import ROLE_COLOURS, draw_road
 from cosim.runs.road_view import RoadView, road_view
 from cosim.runs.summary import driver_name, shortest_time
+from cosim.world.outcome_columns import group_size
 
-ROLE_MARKERS = ("o", "s", "^")
+ROLE_MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 _MOMENTS = ("road at the take-over", "road in the middle", "road at the end")
 EDGE_COLOURS = {"follow": "#009e73", "yield": "#e69f00", "cut_in": "#cc79a7"}
-ROLES = {
-    "car_following": ("0 (last)", "1 (middle)", "2 (leader)"),
-    "merge": ("0 (merging)", "1 (lag)", "2 (leader)"),
-}
+MERGE_ROLES = ("0 (merging)", "1 (lag)", "2 (leader)")
 _STYLE: dict[Any, Any] = {"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}
 _CURVES = {
     "s": "position s [m]",
@@ -43,7 +41,7 @@ class EpisodeFigure(Figure):
 
 def most_eventful(steps: pd.DataFrame) -> int:
     """Number of the driven episode whose leader's speed varies most."""
-    leader = steps[~steps["counterpart"] & (steps["role"] == 2) & steps["during_drive"]]
+    leader = steps[~steps["counterpart"] & (steps["role"] == steps["role"].max()) & steps["during_drive"]]
     return int(str(leader.groupby("episode")["v"].agg(np.ptp).idxmax()))
 
 
@@ -67,7 +65,7 @@ def figure(tables: Mapping[str, pd.DataFrame], episode: int | None = None, folde
     episode = most_eventful(steps) if episode is None else episode
     (row,) = groups[groups["episode"] == episode].to_dict("records")
     group = {str(name): value for name, value in row.items()}
-    driver = str(group["driver"])
+    driver, size = str(group["driver"]), group_size(group)
     of_episode = steps["episode"] == episode
     own, left = steps[of_episode & ~steps["counterpart"]], steps[of_episode & steps["counterpart"]]
     counterpart = left if len(left) else None
@@ -83,8 +81,8 @@ def figure(tables: Mapping[str, pd.DataFrame], episode: int | None = None, folde
         )
         _roads([layout[name] for name in _MOMENTS], road_view(tables, episode, folder), own, group)
         for name, label in shown.items():
-            roles = (0, 1) if name == "gap" else (0, 1, 2)
-            _curves(layout[name], own, counterpart, name, label, ROLES[group["rule"]], roles)
+            roles = tuple(range(size - 1 if name == "gap" else size))
+            _curves(layout[name], own, counterpart, name, label, _role_names(group["rule"], size), roles)
             _phases(layout[name], group, label=name == "s", driver=driver_name(driver))
         layout["gap"].set_xlabel("time since take-over [s]")
         handles, labels = layout["s"].get_legend_handles_labels()
@@ -95,11 +93,25 @@ def figure(tables: Mapping[str, pd.DataFrame], episode: int | None = None, folde
         _facts(layout["text"], group, counterpart is not None)
         drawn.suptitle(
             f"Episode {episode}: {driver_name(driver)} drives "
-            f"{group['vehicle_0']} (0) and {group['vehicle_1']} (1), the leader is {group['vehicle_2']} (2)",
+            f"{_followers(group, size)}, the leader is {group[f'vehicle_{size - 1}']} ({size - 1})",
             x=0.01,
             ha="left",
         )
         return drawn
+
+
+def _role_names(rule: str, size: int) -> tuple[str, ...]:
+    """The roles as a legend names them."""
+    if rule == "merge":
+        return MERGE_ROLES
+    between = ["1 (middle)"] if size == 3 else [str(role) for role in range(1, size - 1)]
+    return "0 (last)", *between, f"{size - 1} (leader)"
+
+
+def _followers(group: Mapping[str, Any], size: int) -> str:
+    """The vehicles behind the leader; of many the first and the last one."""
+    shown = range(size - 1) if size <= 4 else (0, size - 2)
+    return (" to " if size > 4 else " and ").join(f"{group[f'vehicle_{role}']} ({role})" for role in shown)
 
 
 def _roads(rows: Sequence[Axes], view: RoadView, own: pd.DataFrame, group: dict[str, Any]) -> None:
@@ -108,7 +120,7 @@ def _roads(rows: Sequence[Axes], view: RoadView, own: pd.DataFrame, group: dict[
     for axes, share in zip(rows, (0.0, 0.5, 1.0), strict=True):
         k = int(np.abs(view.time - (begin + share * duration)).argmin())
         driven = {int(role) for role in own.loc[own["driven"], "role"]}
-        draw_road(axes, view, k, (0 in driven, 1 in driven, 2 in driven))
+        draw_road(axes, view, k, [role in driven for role in range(group_size(group))])
         axes.set_title(f"{view.time[k] - begin:.1f} s", loc="left", fontsize=8, pad=2)
         axes.set_ylabel("d [m]")
         axes.tick_params(labelsize=7)
@@ -159,18 +171,19 @@ def _phases(axes: Axes, group: dict[str, Any], label: bool, driver: str) -> None
 
 def _graph(axes: Axes, group: dict[str, Any]) -> None:
     """The inferred graph: an arrow i → j labelled with what j does towards i."""
-    axes.set(xlim=(-1.3, 1.3), ylim=(-0.7, 2.7), aspect="equal", title="inferred graph")
+    size = group_size(group)
+    axes.set(xlim=(-1.3, 1.3), ylim=(-0.7, size - 0.3), aspect="equal", title="inferred graph")
     axes.axis("off")
-    for role in range(3):
+    for role in range(size):
         axes.add_patch(Circle((0, role), 0.2, color=ROLE_COLOURS[role], zorder=3))
         axes.text(0, role, str(role), color="white", ha="center", va="center", weight="bold", zorder=4)
-    edges = [(i, j) for i in range(3) for j in range(3) if i != j and f"edge_{i}_{j}" in group]
+    edges = [(i, j) for i in range(size) for j in range(size) if i != j and f"edge_{i}_{j}" in group]
     shown = [(i, j) for i, j in edges if group[f"edge_{i}_{j}"] not in ("none", None) and _is_known(group, i, j)]
     for i, j in shown:
         kind = group[f"edge_{i}_{j}"]
         colour = EDGE_COLOURS[kind]
         bend = 0.35 if i > j else -0.35
-        if abs(i - j) == 2:
+        if abs(i - j) > 1:
             bend *= 1.3
         side = 0.55 * abs(i - j) * (1 if i > j else -1)
         axes.add_patch(

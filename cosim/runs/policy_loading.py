@@ -14,7 +14,8 @@ from gri.core.graph import FOLLOWING, LANE_CHANGING, Vocabulary
 from gri.core.merging_policy import MergingDriver
 from gri.core.policy import ConstantVelocity, IntelligentDriver, Policy
 from gri.errors import InputError
-from gri.networks.model import RelationalModel
+from gri.networks.model import CHAIN, RelationalModel
+from gri.networks.pair_encoder import PairEncoder
 
 
 def driver_of(scenario: spec.Scenario, own: Policy | None = None) -> Driver | None:
@@ -54,8 +55,8 @@ def policy_of(scenario: spec.Scenario) -> Policy | None:
     match scenario.policy:
         case spec.LeftToSumo():
             return None
-        case spec.Idm():
-            model = IntelligentDriver(period, length=NOMINAL_LENGTH)
+        case spec.Idm(sees=sees):
+            model = IntelligentDriver(period, length=NOMINAL_LENGTH, sees_nearby=sees == "everybody")
             policy: Policy = model if in_lane else MergingDriver(model)
         case spec.ConstantVelocity():
             policy = ConstantVelocity(period, POINT_MASS_1D if in_lane else DUBINS)
@@ -63,6 +64,7 @@ def policy_of(scenario: spec.Scenario) -> Policy | None:
             path = checkpoint_path(name)
             model = checkpoint.load(path)
             _check_vocabulary(model, scenario.group, path)
+            _check_size(model, scenario.group, path)
             policy = model
         case spec.UserPolicy() as own:
             policy = own_policy(own, period)
@@ -85,6 +87,16 @@ def _check_vocabulary(model: RelationalModel, rule: spec.GroupRule, path: Path) 
         raise InputError(
             f"{path}: got the edge vocabulary ({', '.join(model.config.vocabulary)}), the group rule"
             f" {spec.tag_of(rule)!r} wants ({', '.join(wanted)}); choose another policy.checkpoint"
+        )
+
+
+def _check_size(model: RelationalModel, rule: spec.GroupRule, path: Path) -> None:
+    """The paper's encoder embeds all vehicles together and has seen three; a given graph is that of three as well."""
+    any_size = isinstance(model.encoder, PairEncoder) or (model.encoder is None and model.config.graph == CHAIN)
+    if rule.size != spec.USUAL_SIZE and not any_size:
+        raise InputError(
+            f"{path}: got a model for groups of three, group.size is {rule.size}; set it to 3, or choose a"
+            " policy.checkpoint whose encoder compares pairs, such as us101_car_following"
         )
 
 

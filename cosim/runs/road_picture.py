@@ -1,5 +1,6 @@
 """The road from above with matplotlib: lanes, the group, its counterpart as outlines, the vehicles around in grey."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -9,7 +10,7 @@ from matplotlib.transforms import Affine2D
 
 from cosim.runs.road_view import Moving, RoadView
 
-ROLE_COLOURS = ("#0072b2", "#d55e00", "#444444")
+ROLE_COLOURS = ("#0072b2", "#d55e00", "#444444", "#009e73", "#cc79a7", "#b87a00", "#56b4e9", "#7b5ea7")
 AHEAD, BEHIND = 35.0, 35.0  # [m] of road that is shown around the group
 
 
@@ -22,7 +23,7 @@ def window(view: RoadView) -> tuple[float, float]:
     return 0.5 * float(span) + BEHIND, 0.5 * float(span) + AHEAD
 
 
-def draw_road(axes: Axes, view: RoadView, k: int, driven: tuple[bool, bool, bool], names: bool = True) -> None:
+def draw_road(axes: Axes, view: RoadView, k: int, driven: Sequence[bool], names: bool = True) -> None:
     """Draw the road at instant k. The vehicles that a policy drives have a black frame."""
     there = [(member.s[k], member.s[k] - member.length) for member in view.members if np.isfinite(member.s[k])]
     middle = 0.5 * (max(s for s, _ in there) + min(rear for _, rear in there)) if there else 0.0

@@ -11,6 +11,7 @@ from jaxtyping import Float
 from cosim.runs.finished_run import SCENARIO, has_file, read_scenario
 from cosim.runs.lanes import DrawnRoad, Lane, drawn_road
 from cosim.runs.surroundings_table import read_surroundings
+from cosim.world.outcome_columns import group_size
 from cosim.world.road_frame import RoadFrame
 
 Times = Float[np.ndarray, " T"]
@@ -65,7 +66,7 @@ def road_view(tables: Mapping[str, pd.DataFrame], number: int, folder: Path | No
 
 def _by_role(steps: pd.DataFrame, time: Times, group: Mapping, frame: RoadFrame | None) -> tuple[Moving, ...]:
     found = []
-    for role in range(3):
+    for role in range(group_size(group)):
         rows = steps[(steps["role"] == role) & steps["present"]]
         size = float(group[f"length_{role}"]), float(group[f"width_{role}"])
         found.append(_moving(str(group[f"vehicle_{role}"]), rows, time, size, frame))

@@ -25,6 +25,7 @@ from cosim.spec.scenario import Scenario, UserPolicy, policy_name
 from cosim.spec.settings import settings_of
 from cosim.world.backlog import MANY_WAITING
 from cosim.world.group_search import why_not_more
+from cosim.world.outcome_columns import group_size
 from gri.errors import InputError
 from gri.resources import checkpoints
 
@@ -87,9 +88,10 @@ class Run:
         arguments, found = self.manifest["arguments"], []
         if self.missing_episodes:
             rule, seen = str(self.groups["rule"].iloc[0]), arguments["candidates_seen"]
+            why = why_not_more(rule, seen, arguments["candidates_failed"], group_size(self.groups.iloc[0].to_dict()))
             found.append(
                 f"{arguments['starts']} of {arguments['episodes']} episodes: the time limit was reached; raise"
-                f" time_limit or loosen the group rule ({why_not_more(rule, seen, arguments['candidates_failed'])})"
+                f" time_limit or loosen the group rule ({why})"
             )
         if arguments.get("waiting_outside_since") is not None:
             found.append(

@@ -73,7 +73,7 @@ def run_job(
             None if scenario.traffic.has_own_files else prepared.routes_sha256 if prepared else sha256(files.routes)
         )
     if not outcome.episodes:
-        why = why_not_more(tag_of(scenario.group), outcome.search.seen, outcome.search.failed)
+        why = why_not_more(tag_of(scenario.group), outcome.search.seen, outcome.search.failed, scenario.group.size)
         raise InputError(
             f"group: no group fits the rule within {scenario.time_limit:g} s; loosen it or raise time_limit ({why})"
         )

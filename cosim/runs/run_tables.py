@@ -30,7 +30,7 @@ from cosim.world.episode import COLUMNS, Episode
 from cosim.world.hand_back_columns import hand_back_columns
 from cosim.world.outcome_columns import outcome_columns
 from cosim.world.safety import safety_measures, track_of_role
-from gri.core.edges import EdgeType, pairs
+from gri.core.edges import MOST_COMPLETE, EdgeType, pairs
 
 
 def steps_table(episodes: Sequence[Episode], counterparts: Sequence[Episode] = ()) -> pd.DataFrame:
@@ -50,20 +50,21 @@ def _numbered(episodes: Sequence[Episode], counterparts: Sequence[Episode]) -> I
 
 def _steps(number: np.int32, episode: Episode, counterpart: bool) -> pd.DataFrame:
     n = len(episode.time)
-    towards = {name: np.full((n, 3), np.nan) for name in ("gap", "ttc")}
+    size = len(episode.order)
+    towards = {name: np.full((n, size), np.nan) for name in ("gap", "ttc")}
     for name in towards:
-        towards[name][:, episode.order[:2]] = getattr(episode, name)
+        towards[name][:, episode.order[:-1]] = getattr(episode, name)
     return pd.DataFrame(
         {
             "episode": number,
             "driver": episode.driver,
             "counterpart": counterpart,
-            "time": np.repeat(episode.time, 3),
-            "role": np.tile(np.arange(3, dtype=np.int8), n),
+            "time": np.repeat(episode.time, size),
+            "role": np.tile(np.arange(size, dtype=np.int8), n),
             "vehicle": list(episode.group.ids) * n,
             "present": episode.valid.ravel(),
             "driven": episode.driven.ravel(),
-            "during_drive": np.repeat(episode.during_drive, 3),
+            "during_drive": np.repeat(episode.during_drive, size),
             **{name: episode.state[..., k].ravel() for k, name in enumerate(COLUMNS)},
             "jerk": episode.jerk.ravel(),
             **{name: values.ravel() for name, values in towards.items()},
@@ -76,7 +77,7 @@ def groups_table(
 ) -> pd.DataFrame:
     """One row per episode: vehicles, ending, inferred graph, and the safety figures of the drive (SI units).
 
-    If the counterparts of the episodes are given (`left`), there is also the deviation of vehicle 2 from them.
+    If the counterparts of the episodes are given (`left`), there is also the deviation of the leader from them.
     """
     table = pd.DataFrame([_group(number, episode, expected) for number, episode in enumerate(episodes)])
     if left:
@@ -86,27 +87,27 @@ def groups_table(
 
 def _group(number: int, episode: Episode, expected: Mapping[tuple[int, int], EdgeType]) -> dict[str, Any]:
     way = episode.during_drive
-    after = (episode.time > episode.end + 1e-6)[:, None] & episode.valid[:, :2]
-    owned_jerk = np.abs(episode.jerk[way][1:, :2])
+    after = (episode.time > episode.end + 1e-6)[:, None] & episode.valid[:, :-1]
+    owned_jerk = np.abs(episode.jerk[way][1:, :-1])
     return {
         "episode": np.int32(number),
         "driver": episode.driver,
         **{f"vehicle_{role}": vehicle for role, vehicle in enumerate(episode.group.ids)},
         **{f"length_{role}": float(length) for role, length in enumerate(episode.length)},
         **{f"width_{role}": float(width) for role, width in enumerate(episode.width)},
-        "rule": "car_following" if episode.order == (0, 1, 2) else "merge",
+        "rule": "car_following" if episode.in_lane else "merge",
         "takeover_time": episode.group.time,
         "drive_duration": episode.end - episode.group.time,
         "ending": episode.ending.value,
         **outcome_columns(episode),
         **_inferred_graph_columns(episode, expected),
         **safety_measures(episode),
-        "mean_speed": float(episode.feature("v")[way][:, :2].mean()),
+        "mean_speed": float(episode.feature("v")[way][:, :-1].mean()),
         "jerk_within_3": float((owned_jerk <= 3).mean()),
-        "min_acceleration": float(episode.feature("a")[way][:, :2].min()),
+        "min_acceleration": float(episode.feature("a")[way][:, :-1].min()),
         **_brakings(episode, way, ""),
         **_brakings(episode, episode.time > episode.end + 1e-6, "_after"),
-        "min_acceleration_after": float(np.where(after, episode.feature("a")[:, :2], np.inf).min()),
+        "min_acceleration_after": float(np.where(after, episode.feature("a")[:, :-1], np.inf).min()),
         **hand_back_columns(episode),
     }
 
@@ -121,24 +122,29 @@ def _brakings(episode: Episode, when: Bool[np.ndarray, " T"], suffix: str) -> di
     }
 
 
+def reported_pairs(size: int) -> tuple[tuple[int, int], ...]:
+    """The pairs with columns of their own: all pairs of two or three vehicles, else those of neighbours."""
+    return tuple((i, j) for i, j in pairs(size) if size <= MOST_COMPLETE or abs(i - j) == 1)
+
+
 def _inferred_graph_columns(episode: Episode, expected: Mapping[tuple[int, int], EdgeType]) -> dict[str, Any]:
-    """The inferred type and its probability for each pair, and whether the whole graph is the expected one.
+    """The inferred type and its probability for each reported pair, and whether the whole graph is the expected one.
 
     All are missing for a driver without a graph.
     """
+    reported = reported_pairs(len(episode.order))
     if episode.graph is None:
-        edges = {f"edge_{i}_{j}{of}": missing for i, j in pairs(3) for of, missing in (("", None), ("_p", np.nan))}
+        edges = {f"edge_{i}_{j}{of}": missing for i, j in reported for of, missing in (("", None), ("_p", np.nan))}
         return {**edges, "graph_as_expected": None, "graph_unknown": np.nan}
-    graph = episode.graph
+    graph = episode.graph.on(reported)
     types = [graph.vocabulary[k] for k in graph.map[0].tolist()]
     probabilities = graph.probs[0].max(-1).values.tolist()
     belief: dict[str, Any] = {}
-    for (i, j), kind, p in zip(pairs(3), types, probabilities, strict=True):
+    for (i, j), kind, p in zip(reported, types, probabilities, strict=True):
         belief[f"edge_{i}_{j}"] = kind.value
         belief[f"edge_{i}_{j}_p"] = p
-    belief["graph_as_expected"] = all(
-        kind is expected.get(pair, EdgeType.NONE) for pair, kind in zip(pairs(3), types, strict=True)
-    )
+    whole = dict.fromkeys(expected, EdgeType.NONE) | {pair: kind for pair, (kind, _) in episode.graph.edges().items()}
+    belief["graph_as_expected"] = all(kind is expected.get(pair, EdgeType.NONE) for pair, kind in whole.items())
     belief["graph_unknown"] = np.nan if graph.unknown is None else float(graph.unknown[0])
     return belief
 
@@ -156,7 +162,7 @@ def graphs_table(episodes: Sequence[Episode]) -> pd.DataFrame:
             [np.nan] * len(graph) if graph.unknown is None else graph.unknown.tolist(),
             strict=True,
         )
-        for (i, j), k, p in zip(pairs(3), types, probabilities, strict=True)
+        for (i, j), k, p in zip(graph.pairs, types, probabilities, strict=True)
     ]
     columns = ["episode", "driver", "time", "sender", "receiver", "type", "probability", "unknown"]
     return pd.DataFrame(rows, columns=columns)

@@ -7,7 +7,7 @@ import pandas as pd
 
 from cosim.world.episode import ARRIVED, INTERRUPTED, Ending
 from cosim.world.hand_back_columns import BRAKING
-from cosim.world.outcome_columns import headline
+from cosim.world.outcome_columns import MOST_ROLES, group_size, headline
 from gri.table import Table
 
 DRIVER_NAMES = {
@@ -22,6 +22,7 @@ DRIVER_NAMES = {
 }
 _PER_VEHICLE = ("vehicle", "length", "width")
 EXACT = 1e-9  # [m]
+_LEADER = "the leader"  # in labels; its number depends on the size of groups
 Row = tuple[str, Callable[[pd.DataFrame], str]]
 
 
@@ -35,7 +36,12 @@ def summary(groups: pd.DataFrame, counterparts: pd.DataFrame, asked: int | None 
     if asked is not None and asked > len(groups):
         rows[0] = [f"{n} of {asked}" for n in rows[0]]
     columns = [driver_name(part["driver"].iloc[0]) for part in parts]
-    return pd.DataFrame(rows, index=[label for label, _ in _ROWS], columns=columns)
+    return pd.DataFrame(rows, index=[_label(label, parts[0]) for label, _ in _ROWS], columns=columns)
+
+
+def _label(label: str, groups: pd.DataFrame) -> str:
+    """The label of a row, with the number of the leader."""
+    return label.replace(_LEADER, f"vehicle {group_size(groups.iloc[0].to_dict()) - 1}")
 
 
 def summary_table(groups: pd.DataFrame, counterparts: pd.DataFrame, asked: int | None = None) -> Table:
@@ -58,7 +64,13 @@ def summary_records(groups: pd.DataFrame) -> list[dict[str, Any]]:
     Of a column with numbers: least, median, mean and greatest value over groups, as COLUMN_min and so on. Of facts and
     categories: the number of groups with each, as COLUMN (true facts) or COLUMN_CATEGORY.
     """
-    skipped = {"episode", "driver", "rule", "takeover_time", *(f"{of}_{k}" for of in _PER_VEHICLE for k in range(3))}
+    skipped = {
+        "episode",
+        "driver",
+        "rule",
+        "takeover_time",
+        *(f"{of}_{k}" for of in _PER_VEHICLE for k in range(MOST_ROLES)),
+    }
     records = []
     for driver, part in groups.groupby("driver", sort=False):
         record: dict[str, Any] = {"driver": str(driver), "groups": len(part)}
@@ -121,7 +133,7 @@ def _other_endings(groups: pd.DataFrame) -> str:
 
 
 def _isolated(groups: pd.DataFrame) -> str:
-    """Groups whose vehicle 2 moved exactly as in the counterpart; only where there is a counterpart to compare."""
+    """Groups whose leader moved exactly as in the counterpart; only where there is a counterpart to compare."""
     if "leader_deviation" not in groups or groups["leader_deviation"].isna().all():
         return "-"
     return _of(int((groups["leader_deviation"] <= EXACT).sum()), len(groups))
@@ -174,7 +186,7 @@ _ROWS: tuple[Row, ...] = (
     ("  order kept", lambda g: _of(int(g["order_kept"].sum()), len(g))),
     ("broken up by policy/others/unknown", _broken_up),
     ("too late, lane end, or off the road", _other_endings),
-    ("vehicle 2 as without the policy", _isolated),
+    (f"{_LEADER} as without the policy", _isolated),
     ("inferred edges", _edges),
     ("  whole graph as expected", _as_expected),
     ("  scene known to the model", _known),

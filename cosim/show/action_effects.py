@@ -56,17 +56,17 @@ class Effect:
 class Drive:
     """What a policy saw in its drive: states of T + 1 instants in the frame of the model, and the graph at each."""
 
-    state: Float[Tensor, "T 3 D"]
-    history: Float[Tensor, "3 H D"]
+    state: Float[Tensor, "T N D"]
+    history: Float[Tensor, "N H D"]
     graphs: Sequence[Mapping[tuple[int, int], EdgeType]]
     """The edges at each instant, without pairs of type none; empty for a policy without a graph."""
 
 
 def drive_of(view: EpisodeView, scenario: Scenario) -> Drive:
-    """The drive of an episode as its policy saw it; x counts from vehicle 2 at the take-over."""
+    """The drive of an episode as its policy saw it; x counts from the leader at the take-over."""
     rows, in_lane = np.flatnonzero(view.during_drive), isinstance(scenario.group, CarFollowing)
     states = _model_states(view, in_lane, scenario.step)
-    states[..., 0] -= states[rows[0], 2, 0].clone()
+    states[..., 0] -= states[rows[0], -1, 0].clone()
     last = len(rows) if in_lane else len(rows) - 2  # heading and yaw rate are those between successive positions
     graphs = (
         [_edges_at(view.inferred_edges, float(view.time[row])) for row in rows[:last]] if view.inferred_edges else []
@@ -74,7 +74,7 @@ def drive_of(view: EpisodeView, scenario: Scenario) -> Drive:
     return Drive(states[rows[:last]], states[: rows[0] + 1].transpose(0, 1), graphs)
 
 
-def _model_states(view: EpisodeView, in_lane: bool, dt: float) -> Float[Tensor, "T 3 D"]:
+def _model_states(view: EpisodeView, in_lane: bool, dt: float) -> Float[Tensor, "T N D"]:
     """States of all recorded instants in double precision, as `cosim.loop.state_layouts` makes them.
 
     The heading is that of the path: Dubins' car moves by v·Δt along its heading. Vehicles that SUMO drives have no yaw
@@ -120,7 +120,7 @@ Reason = tuple[tuple[int, str], ...]
 
 def _reasons(drive: Drive, receiver: int) -> list[Reason]:
     if not drive.graphs:
-        return [((sender, "vehicle"),) for sender in range(3) if sender != receiver]
+        return [((sender, "vehicle"),) for sender in range(drive.state.shape[1]) if sender != receiver]
     edges = dict.fromkeys(
         (sender, str(kind)) for graph in drive.graphs for (sender, to), kind in graph.items() if to == receiver
     )
@@ -154,7 +154,7 @@ class _Replay:
             return [None] * len(self.drive.state)
         graphs: list[InteractionGraph | None] = []
         for same, part in groupby(edges):
-            graphs += [InteractionGraph.of_edges(same, self._vocabulary)] * len(list(part))
+            graphs += [InteractionGraph.of_edges(same, self._vocabulary, self.drive.state.shape[1])] * len(list(part))
         return graphs
 
     @property
@@ -169,8 +169,8 @@ class _Replay:
         return self._graphs([{p: kind for p, kind in graph.items() if p not in absent} for graph in self.drive.graphs])
 
     def next(
-        self, memory: PolicyState, state: Float[Tensor, "3 D"], moved: Sequence[int]
-    ) -> tuple[Float[Tensor, "3 D"], PolicyState]:
+        self, memory: PolicyState, state: Float[Tensor, "N D"], moved: Sequence[int]
+    ) -> tuple[Float[Tensor, "N D"], PolicyState]:
         """The states after one decision, in which the vehicles of `moved` are too far away to matter."""
         seen = state.clone()
         seen[list(moved), 0] += FAR
@@ -234,7 +234,7 @@ def _lateral(own: _Replay, state: Float[Tensor, "T D"]) -> Float[Tensor, " T"]:
 
 
 def _relative(state: Float[Tensor, "B 3 *T D"]) -> Float[Tensor, "B 3 *T D"]:
-    """float32 states with x counted from the latest position of vehicle 2, as the loop gives them to policies."""
+    """float32 states with x counted from the latest position of the leader, as the loop gives them to policies."""
     counted = state.clone()
-    counted[..., 0] -= state[:, 2:3, 0] if state.ndim == 3 else state[:, 2:3, -1:, 0]
+    counted[..., 0] -= state[:, -1:, 0] if state.ndim == 3 else state[:, -1:, -1:, 0]
     return counted.float()

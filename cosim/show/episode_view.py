@@ -9,9 +9,8 @@ import pandas as pd
 from jaxtyping import Bool, Float
 
 from cosim.world.episode import COLUMNS
+from cosim.world.outcome_columns import group_size
 from gri.errors import InputError
-
-ROLES = 3
 
 
 @dataclass(frozen=True)
@@ -27,7 +26,7 @@ class InferredEdge:
 
 @dataclass(frozen=True)
 class EpisodeView:
-    """One episode as arrays over T instants and 3 roles; SI units.
+    """One episode as arrays over T instants and N roles; SI units.
 
     `state` has the features of `cosim.world.episode.COLUMNS`; `gap` [m] and `ttc` [s] are to the vehicle ahead.
     """
@@ -36,28 +35,33 @@ class EpisodeView:
     driver: str
     group: Mapping[str, Any]
     time: Float[np.ndarray, " T"]
-    state: Float[np.ndarray, "T 3 C"]
-    present: Bool[np.ndarray, "T 3"]
-    driven: Bool[np.ndarray, "T 3"]
+    state: Float[np.ndarray, "T N C"]
+    present: Bool[np.ndarray, "T N"]
+    driven: Bool[np.ndarray, "T N"]
     during_drive: Bool[np.ndarray, " T"]
-    gap: Float[np.ndarray, "T 3"]
-    ttc: Float[np.ndarray, "T 3"]
+    gap: Float[np.ndarray, "T N"]
+    ttc: Float[np.ndarray, "T N"]
     inferred_edges: tuple[InferredEdge, ...]
 
-    def feature(self, name: str) -> Float[np.ndarray, "T 3"]:
+    def feature(self, name: str) -> Float[np.ndarray, "T N"]:
         return self.state[..., COLUMNS.index(name)]
 
     @property
+    def size(self) -> int:
+        """N, the number of vehicles of the group."""
+        return group_size(self.group)
+
+    @property
     def ids(self) -> tuple[str, ...]:
-        return tuple(self.group[f"vehicle_{role}"] for role in range(ROLES))
+        return tuple(self.group[f"vehicle_{role}"] for role in range(self.size))
 
     @property
-    def length(self) -> Float[np.ndarray, " 3"]:
-        return np.array([self.group[f"length_{role}"] for role in range(ROLES)])
+    def length(self) -> Float[np.ndarray, " N"]:
+        return np.array([self.group[f"length_{role}"] for role in range(self.size)])
 
     @property
-    def width(self) -> Float[np.ndarray, " 3"]:
-        return np.array([self.group[f"width_{role}"] for role in range(ROLES)])
+    def width(self) -> Float[np.ndarray, " N"]:
+        return np.array([self.group[f"width_{role}"] for role in range(self.size)])
 
     @property
     def takeover_time(self) -> float:
@@ -73,7 +77,8 @@ def episode_view(tables: Mapping[str, pd.DataFrame], number: int, *, counterpart
         known = groups["episode"]
         raise InputError(f"--episode: got {number}, this run has the episodes {known.min()} to {known.max()}")
     rows = steps[(steps["episode"] == number) & (steps["counterpart"] == counterpart)].sort_values(["time", "role"])
-    shape = (len(rows) // ROLES, ROLES)
+    size = group_size(found.iloc[0].to_dict())
+    shape = (len(rows) // size, size)
 
     def wide(column: str) -> np.ndarray:
         return rows[column].to_numpy().reshape(shape)

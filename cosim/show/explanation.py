@@ -74,13 +74,13 @@ class Term:
 def explanation(view: EpisodeView, run: Path) -> str:
     """The inferred graph, the drive and its reasons, as text of at most 80 columns. `run` is the run folder."""
     scenario = read_scenario(run)
-    driven = [role for role in range(2) if view.driven[:, role].any()]
+    driven = [role for role in range(view.size - 1) if view.driven[:, role].any()]
     effects, remark = _effects(view, scenario, driven)
     reward = None
     if isinstance(scenario.policy, TrainedPolicy):
         reward = checkpoint.load_reward(checkpoint_path(scenario.policy.checkpoint))
     lines = [_headline(view), "", *_graph(view)]
-    for role in range(2):
+    for role in range(view.size - 1):
         lines += ["", *_drive(view, role)]
         if role in driven:
             lines += _why([effect for effect in effects if effect.receiver == role]) if not remark else [f"  {remark}"]
@@ -271,7 +271,7 @@ def _reasons(view: EpisodeView, role: int, scenario: Scenario, reward: Structure
 
 
 def terms_of(view: EpisodeView, role: int, scenario: Scenario, reward: StructuredReward) -> list[Term]:
-    """The weighted terms of one vehicle (role 0 or 1) at every driven step, under the graph at the take-over."""
+    """The weighted terms of one vehicle (not the leader) at every driven step, under the graph at the take-over."""
     state, action = model_states(view, scenario)
     own = state[role]
     columns = reward.node_features(own, action[role]) * reward.weights("node")
@@ -293,7 +293,7 @@ def _at_takeover(view: EpisodeView) -> list[InferredEdge]:
     return [edge for edge in view.inferred_edges if edge.time == first]
 
 
-def model_states(view: EpisodeView, scenario: Scenario) -> tuple[Float[Tensor, "3 T D"], Float[Tensor, "3 T A"]]:
+def model_states(view: EpisodeView, scenario: Scenario) -> tuple[Float[Tensor, "N T D"], Float[Tensor, "N T A"]]:
     """States and actions of T driven steps in the frame of the model (D and A of its dynamics)."""
     dynamics = POINT_MASS_1D if isinstance(scenario.group, CarFollowing) else DUBINS
     states = drive_of(view, scenario).state.transpose(0, 1).float()

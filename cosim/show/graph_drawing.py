@@ -6,8 +6,11 @@ from html import escape
 
 import numpy as np
 import pandas as pd
+from jaxtyping import Float
 
-POSITIONS = ((60.0, 150.0), (60.0, 85.0), (60.0, 20.0))  # of the roles 0, 1, 2 in the drawing; the road goes up
+from cosim.world.outcome_columns import MOST_ROLES
+
+LEFT, STEP, BOTTOM = 60.0, 65.0, 20.0  # places of the roles in the drawing; the road goes up
 
 
 @dataclass(frozen=True)
@@ -27,8 +30,9 @@ def pairs_of(groups: pd.DataFrame) -> dict[tuple[int, int], PairSummary]:
 
 
 def _pairs(groups: pd.DataFrame) -> Iterator[PairSummary]:
-    for sender in range(3):
-        for receiver in range(3):
+    size = sum(f"vehicle_{role}" in groups for role in range(MOST_ROLES))
+    for sender in range(size):
+        for receiver in range(size):
             column = f"edge_{sender}_{receiver}"
             if sender == receiver or column not in groups or groups[column].isna().all():
                 continue
@@ -42,18 +46,21 @@ def drawing(pairs: dict[tuple[int, int], PairSummary]) -> str:
     """SVG of the most frequent graph: an arrow from sender to receiver, labelled with the reaction of the receiver."""
     found = ", ".join(f"{p.receiver} {p.type.replace('_', ' ')} {p.sender}" for p in pairs.values() if p.type != "none")
     about = escape(f"most frequent inferred graph: {found or 'no relation'}", quote=True)
-    parts = [f'<svg viewBox="0 0 190 175" width="220" role="img" aria-label="{about}">']
+    size = max((role for pair in pairs for role in pair), default=2) + 1
+    places = [(LEFT, BOTTOM + STEP * (size - 1 - role)) for role in range(size)]
+    height = STEP * size - BOTTOM
+    parts = [f'<svg viewBox="0 0 190 {height:.0f}" width="220" role="img" aria-label="{about}">']
     for pair in pairs.values():
         if pair.type != "none":
-            parts.append(_arrow(pair))
-    for role, (x, y) in enumerate(POSITIONS):
+            parts.append(_arrow(pair, np.array(places)))
+    for role, (x, y) in enumerate(places):
         parts.append(f'<circle cx="{x}" cy="{y}" r="13" fill="var(--v{role})"/>')
         parts.append(f'<text x="{x}" y="{y + 4}" text-anchor="middle" font-size="12" fill="#fff">{role}</text>')
     return "".join([*parts, "</svg>"])
 
 
-def _arrow(pair: PairSummary) -> str:
-    start, end = np.array(POSITIONS[pair.sender]), np.array(POSITIONS[pair.receiver])
+def _arrow(pair: PairSummary, places: Float[np.ndarray, "N 2"]) -> str:
+    start, end = places[pair.sender], places[pair.receiver]
     along = (end - start) / np.linalg.norm(end - start)
     side = np.array([along[1], -along[0]]) * (18 + 17 * (abs(pair.sender - pair.receiver) - 1))
     a, b, middle = start + 14 * along + side / 3, end - 16 * along + side / 3, (start + end) / 2 + side * 1.5

@@ -22,7 +22,10 @@ from cosim.spec.input_files import find_net
 from cosim.world.road_frame import sumo_angle_of
 from gri.errors import InputError
 
-COLOURS = ((0, 114, 178), (213, 94, 0), (60, 60, 60))
+COLOURS = (
+    *((0, 114, 178), (213, 94, 0), (60, 60, 60)),
+    *((0, 158, 115), (204, 121, 167), (184, 122, 0), (86, 180, 233), (123, 94, 167)),
+)
 GREY, GHOST_ALPHA = (190, 190, 190), 90
 
 

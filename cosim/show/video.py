@@ -37,8 +37,8 @@ def write_video(view: EpisodeView, road: RoadView, path: Path) -> None:
 def _draw_gaps(axes: Axes, view: EpisodeView):
     """Draw the gaps over time; returns the line that marks the current time."""
     time = view.time - view.takeover_time
-    for role in range(2):
-        style: Any = {"marker": ROLE_MARKERS[role], "markevery": (5 * role, 15), "ls": ("-", "--")[role]}
+    for role in range(view.size - 1):
+        style: Any = {"marker": ROLE_MARKERS[role], "markevery": (5 * role % 15, 15), "ls": ("-", "--")[role % 2]}
         axes.plot(time, view.gap[:, role], color=ROLE_COLOURS[role], label=f"vehicle {role}", **style)
     axes.axvspan(0, float(view.group["drive_duration"]), color="#0072b2", alpha=0.08, lw=0)
     axes.set(xlabel="time since take-over [s]", ylabel="net gap ahead [m]")
@@ -49,7 +49,7 @@ def _draw_gaps(axes: Axes, view: EpisodeView):
 def _draw_frame(axes: Axes, view: EpisodeView, road: RoadView, k: int) -> None:
     """Draw the road at instant k, with the time and the inferred graph above it."""
     axes.clear()
-    draw_road(axes, road, k, (bool(view.driven[k, 0]), bool(view.driven[k, 1]), bool(view.driven[k, 2])))
+    draw_road(axes, road, k, view.driven[k].tolist())
     axes.set(xlabel="position s [m]", ylabel="lateral position d [m]")
     edges = [edge for edge in view.inferred_edges if edge.type != "none"]
     graph = "; ".join(

@@ -167,3 +167,14 @@ def with_recording(scenario: Scenario, recording: Path) -> Scenario:
             "--recording: the background of this scenario is simulated; choose one with background: {kind: replay}"
         )
     return override(scenario, {"background": {**msgspec.to_builtins(scenario.background), "recording": str(recording)}})
+
+
+def json_schema() -> dict[str, Any]:
+    """JSON Schema of a scenario file, for editors."""
+    schema = msgspec.json.schema(Scenario)
+    properties = schema["$defs"]["Scenario"]["properties"]
+    properties["traffic"] = {
+        "description": "a traffic description, or the name or path of a file that holds one",
+        "anyOf": [properties["traffic"], {"type": "string"}],
+    }
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "cosim scenario", **schema}

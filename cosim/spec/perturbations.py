@@ -76,11 +76,11 @@ class LeaderBraking(PerturbationSpec, frozen=True, tag="leader_braking"):
 
 
 class NeighbourCutIn(PerturbationSpec, frozen=True, tag="neighbour_cut_in"):
-    """A vehicle from a neighbouring lane cuts in between vehicle 2 and its follower within 2 s.
+    """A vehicle from a neighbouring lane cuts in between the leader and its follower within 2 s.
 
     The follower is vehicle 1 in car following and vehicle 0 in a merge. The neighbour brakes with 3 m/s² to the
     follower's speed at the take-over minus the intensity [m/s]. It keeps this speed until 4 s after the take-over; then
-    SUMO drives it again. Once its centre is within 1 m of the lane's centre, it is vehicle 2 for the policy. A group
+    SUMO drives it again. Once its centre is within 1 m of the lane's centre, it is the leader for the policy. A group
     without a neighbour that fits into the gap with 1 m clearance to both vehicles is infeasible.
     """
 

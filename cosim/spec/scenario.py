@@ -8,7 +8,6 @@ is the same specification for editors.
 import math
 from typing import Annotated, Any, Literal
 
-import msgspec
 from msgspec import Meta, field
 
 from cosim.spec.demand import (
@@ -29,6 +28,7 @@ from cosim.spec.demand import (
     TimeGap,
     Traffic,
 )
+from cosim.spec.group_roles import USUAL_SIZE, check_roles
 from cosim.spec.perturbations import CHANGES_DEMAND, Perturbation
 from cosim.spec.shares import check_shares
 from cosim.spec.sumo_models import SumoModel
@@ -39,6 +39,7 @@ DECISION_LIMIT = 30.0  # [s] of real time for one decision of a policy of the us
 MAX_WORK = 1.0  # times the usual limits
 MOST_AT_ONCE = 5_000  # vehicles in the study area whose history is kept, at most
 Seed = Annotated[int, Meta(ge=0, lt=2**31)]  # SUMO's seeds have 31 bits
+Role = Annotated[int, Meta(ge=0, le=6)]
 Step = Annotated[float, Meta(ge=0.001, le=10)]  # [s]; SUMO counts in milliseconds
 
 
@@ -55,11 +56,11 @@ class Road(Spec, frozen=True, kw_only=True):
 
 
 class CarFollowing(Spec, frozen=True, kw_only=True, tag_field="rule", tag="car_following"):
-    """Vehicle 0 directly behind 1, and 1 directly behind 2, in one lane during the whole history.
+    """`size` vehicles in one lane during the whole history: 0 directly behind 1, 1 directly behind 2, and so on.
 
-    Net gaps [m], time gaps [s] and speeds [m/s] are limited at the end of the history. Speed differences [m/s] between
-    follower and leader are limited during the whole history, because a vehicle that still catches up, for example from
-    a ramp, does not follow yet.
+    The foremost is the leader, which SUMO drives. Net gaps [m], time gaps [s] and speeds [m/s] are limited at the end
+    of the history. Speed differences [m/s] between follower and leader are limited during the whole history, because a
+    vehicle that still catches up, for example from a ramp, does not follow yet.
     """
 
     min_gap: Gap = 2.0
@@ -67,6 +68,7 @@ class CarFollowing(Spec, frozen=True, kw_only=True, tag_field="rule", tag="car_f
     max_time_gap: TimeGap = 2.5
     min_speed: Speed = 1.0
     max_speed_difference: SpeedLimit = 4.0
+    size: Annotated[int, Meta(ge=2, le=8)] = USUAL_SIZE
 
 
 class Merge(Spec, frozen=True, kw_only=True, tag_field="rule", tag="merge"):
@@ -76,7 +78,7 @@ class Merge(Spec, frozen=True, kw_only=True, tag_field="rule", tag="merge"):
     is the range of s [m] in which the group is taken over. With `across_edges` vehicles 1 and 2 may be on the edges
     before and after that lane, too. Net gaps [m], speeds [m/s] and speed differences [m/s] of vehicles 1 and 2 to
     vehicle 0 are limited at the end of the history, during which 1 and 2 keep their lane. The merge is complete once
-    vehicle 0 was in the target lane for `settle` [s].
+    vehicle 0 was in the target lane for `settle` [s]. Its `size` is always 3.
     """
 
     lane: Place
@@ -87,8 +89,14 @@ class Merge(Spec, frozen=True, kw_only=True, tag_field="rule", tag="merge"):
     min_speed: Speed = 2.0
     max_speed_difference: SpeedLimit = 6.0
     settle: Duration = 2.0
+    size: int = USUAL_SIZE
 
     def __post_init__(self) -> None:
+        if self.size != USUAL_SIZE:
+            raise ValueError(
+                f"size is {self.size}, expected 3: a merge has a merging vehicle, a lag vehicle and a leader; groups of"
+                " other sizes need rule: car_following"
+            )
         if self.zone[0] >= self.zone[1]:
             raise ValueError(f"zone is {list(self.zone)}, expected a range [from, to] of s with from < to")
         if not self.lane.rpartition("_")[2].isdigit():
@@ -105,7 +113,9 @@ class TrainedPolicy(Spec, frozen=True, kw_only=True, tag_field="kind", tag="gri"
 
 
 class Idm(Spec, frozen=True, kw_only=True, tag_field="kind", tag="idm"):
-    """The intelligent driver model."""
+    """The intelligent driver model. It sees `everybody` near, or its own `group` only."""
+
+    sees: Literal["everybody", "group"] = "everybody"
 
 
 class ConstantVelocity(Spec, frozen=True, kw_only=True, tag_field="kind", tag="constant_velocity"):
@@ -177,7 +187,7 @@ class Enforced(Spec, frozen=True, kw_only=True, tag_field="source", tag="enforce
     `others` says whether all other pairs are inferred by the policy, or none.
     """
 
-    edges: dict[Annotated[str, Meta(pattern=r"^[012]->[012]$")], Literal["none", "follow", "yield", "cut_in"]]
+    edges: dict[Annotated[str, Meta(pattern=r"^[0-7]->[0-7]$")], Literal["none", "follow", "yield", "cut_in"]]
     others: Literal["inferred", "none"] = "inferred"
 
     def __post_init__(self) -> None:
@@ -209,15 +219,15 @@ def policy_name(choice: Driver) -> str:
 class Scenario(Spec, frozen=True, kw_only=True):
     """One closed-loop experiment. Durations in s; `traffic` may be the name or path of a traffic file.
 
-    The policy drives the roles in `driven`; SUMO drives the others. `graph` is the source of the graph. It is inferred
-    at the take-over, and again every `reinfer_s` from the latest states if this is not 0. A simulation step lasts
-    `step`; the policy decides every `policy_period`, a multiple of it (0: in every step, or as often as it was trained
-    to). The history before the take-over lasts `history`. The policy drives for up to `horizon`; then the group is
-    observed for `watch`, and the next groups are taken over after a further `rest`. A run ends after `episodes` groups,
-    however their drives end, or `time_limit` after the warm-up; at most `groups_at_once` are driven at the same time.
-    With `surroundings` the run has a table of the vehicles around the groups. A batch leaves it out unless its
-    `overrides` say true. A run is refused if it may need more than `max_work` times the usual limits of steps, vehicles
-    and memory.
+    The policy drives the roles in `driven`, by default all but the leader; SUMO drives the others. `graph` is the
+    source of the graph. It is inferred at the take-over, and again every `reinfer_s` from the latest states if this is
+    not 0. A simulation step lasts `step`; the policy decides every `policy_period`, a multiple of it (0: in every step,
+    or as often as it was trained to). The history before the take-over lasts `history`. The policy drives for up to
+    `horizon`; then the group is observed for `watch`, and the next groups are taken over after a further `rest`. A run
+    ends after `episodes` groups, however their drives end, or `time_limit` after the warm-up; at most `groups_at_once`
+    are driven at the same time. With `surroundings` the run has a table of the vehicles around the groups. A batch
+    leaves it out unless its `overrides` say true. A run is refused if it may need more than `max_work` times the usual
+    limits of steps, vehicles and memory.
 
     With `share` or `shares` there are no groups: `policy` drives this share of all entering vehicles, from entry to
     exit, and each of the named `shares` another one, for `time_limit` after the warm-up (docs/penetration.md).
@@ -232,7 +242,7 @@ class Scenario(Spec, frozen=True, kw_only=True):
     policy: Driver
     graph: GraphSource = field(default_factory=Inferred)
     reinfer_s: Duration = 0.0
-    driven: Annotated[tuple[Literal[0, 1], ...], Meta(min_length=1, max_length=2)] = (0, 1)
+    driven: Annotated[tuple[Role, ...], Meta(min_length=1, max_length=7)] | None = None
     perturbations: Annotated[tuple[Perturbation, ...], Meta(max_length=20)] = ()
     seed: Seed = 1
     step: Step = 0.2
@@ -250,8 +260,8 @@ class Scenario(Spec, frozen=True, kw_only=True):
     max_work: Annotated[float, Meta(gt=0, le=10_000)] = MAX_WORK
 
     def __post_init__(self) -> None:
-        if len(set(self.driven)) < len(self.driven):
-            raise ValueError(f"driven is {list(self.driven)}, expected each role once")
+        edges = self.graph.edges if isinstance(self.graph, Enforced) else {}
+        check_roles(self.group.size, self.driven_roles, edges, self.perturbations)
         if self.traffic.has_own_files:
             self._check_own_files()
         check_shares(self, isinstance(self.background, Replay))
@@ -267,8 +277,14 @@ class Scenario(Spec, frozen=True, kw_only=True):
         vehicles = entering(self.traffic, end) if isinstance(self.background, SimulatedTraffic) else 0.0
         episodes = min(self.episodes, self.groups_at_once * math.ceil(duration / self.step))
         episode = self.history + self.horizon + self.watch
-        kept = min(vehicles, MOST_AT_ONCE) * self.history + 2 * 3 * episodes * episode  # [s] of vehicles
+        kept = min(vehicles, MOST_AT_ONCE) * self.history  # [s] of vehicles
+        kept += 2 * self.group.size * episodes * episode
         return Work(math.ceil(end / self.step), math.ceil(vehicles), math.ceil(kept / self.step))
+
+    @property
+    def driven_roles(self) -> tuple[int, ...]:
+        """The roles that the policy drives."""
+        return tuple(range(self.group.size - 1)) if self.driven is None else self.driven
 
     def _check_own_files(self) -> None:
         """Whatever changes the demand needs traffic that is described in the scenario."""
@@ -290,14 +306,3 @@ class Scenario(Spec, frozen=True, kw_only=True):
     def steps(self, duration: float) -> int:
         """A duration [s] in simulation steps."""
         return round(duration / self.step)
-
-
-def json_schema() -> dict[str, Any]:
-    """JSON Schema of a scenario file, for editors."""
-    schema = msgspec.json.schema(Scenario)
-    properties = schema["$defs"]["Scenario"]["properties"]
-    properties["traffic"] = {
-        "description": "a traffic description, or the name or path of a file that holds one",
-        "anyOf": [properties["traffic"], {"type": "string"}],
-    }
-    return {"$schema": "https://json-schema.org/draft/2020-12/schema", "title": "cosim scenario", **schema}

@@ -20,6 +20,7 @@ from cosim.spec.loading import override
 from cosim.spec.perturbations import CHANGES_DEMAND, KINDS, RENAMED
 from cosim.spec.scenario import (
     AFTERMATH,
+    USUAL_SIZE,
     CarFollowing,
     ConstantVelocity,
     Driver,
@@ -144,6 +145,12 @@ def chunks(
 
 def senseless(scenario: Scenario) -> dict[str, str]:
     """The kinds of perturbation that make no sense for a scenario, each with the reason."""
+    size = scenario.group.size
+    of_three = {} if size == USUAL_SIZE else {"remove_third": f"groups have {size} vehicles, not three"}
+    return of_three | _senseless_in_traffic(scenario)
+
+
+def _senseless_in_traffic(scenario: Scenario) -> dict[str, str]:
     if isinstance(scenario.background, Replay):
         return {kind: "the traffic is recorded" for kind in TRAFFIC_KINDS if kind != "low_friction"}
     if scenario.traffic.has_own_files:

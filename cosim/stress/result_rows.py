@@ -35,8 +35,8 @@ def result_row(
     group of the round is driven.
     """
     during = (episode.time > episode.group.time + 1e-6) & (episode.time <= episode.end + 1e-6)
-    own = [track_of_role(episode, role)[during] for role in (0, 1)]
-    names = [] if third_gone else [episode.group.ids[2]]
+    own = [track_of_role(episode, role)[during] for role in episode.followers]
+    names = [] if third_gone else [episode.group.leader]
     names += [change.successor] if change.successor is not None else []
     d = episode.feature("d")[episode.during_drive]
     return {

@@ -64,11 +64,11 @@ def _earlier_d(before: Snapshot, now: Snapshot) -> Float[np.ndarray, " V"]:
 def with_cause(episode: Episode, members: Sequence[str], takeover: Snapshot, trace: Sequence[Snapshot]) -> Episode:
     """The episode with its `intruders` and with `broken_up_by`, as far as the episode alone tells it.
 
-    `members` are the ids by role as the end conditions saw them: a successor in the place of vehicle 2, only two where
+    `members` are the ids by role as the end conditions saw them: a successor in the place of the leader, only two where
     vehicle 2 was removed. `takeover` is the snapshot of the take-over, `trace` are those after it. An outsider that
     changed into the gap counts as UNKNOWN until the counterpart is compared.
     """
-    keeping = [role for role in ((0, 1, 2) if episode.order == (0, 1, 2) else (1, 2)) if role < len(members)]
+    keeping = [role for role in (episode.order if episode.in_lane else (1, 2)) if role < len(members)]
     k = next((k for k, now in enumerate(trace) if now.time >= episode.end - 1e-6), len(trace) - 1)
     before, now = (takeover, *trace)[k], trace[k]
     match episode.ending:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -116,7 +117,7 @@ class Event:
 class Episode:
     """The trajectories and events of one group, from the start of its history to the end of the watch.
 
-    `state` has the features of COLUMNS for the roles 0, 1, 2, `valid` says where a vehicle is present, `driven` where a
+    `state` has the features of COLUMNS for the N roles, `valid` says where a vehicle is present, `driven` where a
     policy commanded it. `order` lists the roles from the rear to the front by the group rule. `graph` is the graph that
     the policy used, one row for each instant of `graph_time` [s] (None where the policy has no graph). `end` [s] is the
     time of the hand-back, `length` and `width` are in m. `judged_roles` are the roles that the policy of the round
@@ -130,12 +131,12 @@ class Episode:
     driver: str
     group: Group
     time: Float[np.ndarray, " T"]
-    state: Float[np.ndarray, "T 3 C"]
-    valid: Bool[np.ndarray, "T 3"]
-    driven: Bool[np.ndarray, "T 3"]
-    length: Float[np.ndarray, " 3"]
-    width: Float[np.ndarray, " 3"]
-    order: tuple[int, int, int]
+    state: Float[np.ndarray, "T N C"]
+    valid: Bool[np.ndarray, "T N"]
+    driven: Bool[np.ndarray, "T N"]
+    length: Float[np.ndarray, " N"]
+    width: Float[np.ndarray, " N"]
+    order: tuple[int, ...]
     graph: "gri.core.graph.InteractionGraph | None"
     graph_time: Float[np.ndarray, " R"]
     ending: Ending
@@ -148,9 +149,19 @@ class Episode:
     broken_up_by: BrokenUpBy = BrokenUpBy.NOBODY
     surroundings: Surroundings | None = None
 
-    def feature(self, name: str) -> Float[np.ndarray, "T 3"]:
+    def feature(self, name: str) -> Float[np.ndarray, "T N"]:
         """One of COLUMNS."""
         return self.state[..., COLUMNS.index(name)]
+
+    @property
+    def followers(self) -> tuple[int, ...]:
+        """All roles but the leader's."""
+        return tuple(range(len(self.order) - 1))
+
+    @property
+    def in_lane(self) -> bool:
+        """Whether the group follows in one lane, rather than merges."""
+        return self.order[0] == 0
 
     @property
     def during_drive(self) -> Bool[np.ndarray, " T"]:
@@ -158,49 +169,49 @@ class Episode:
         return (self.time >= self.group.time - 1e-6) & (self.time <= self.end + 1e-6)
 
     @property
-    def in_path(self) -> Bool[np.ndarray, "T 2"]:
+    def in_path(self) -> Bool[np.ndarray, "T F"]:
         """Whether neighbours of `order` overlap laterally, so that the rear one could drive into the other."""
-        behind, ahead = list(self.order[:2]), list(self.order[1:])
+        behind, ahead = list(self.order[:-1]), list(self.order[1:])
         d = self.feature("d")
         return np.abs(d[:, behind] - d[:, ahead]) < 0.5 * (self.width[behind] + self.width[ahead])
 
     @property
-    def gap(self) -> Float[np.ndarray, "T 2"]:
+    def gap(self) -> Float[np.ndarray, "T F"]:
         """Net gaps [m] along the road between neighbours of `order`, in any lanes and whichever of both is ahead."""
         s = self.feature("s")
-        behind, ahead = list(self.order[:2]), list(self.order[1:])
+        behind, ahead = list(self.order[:-1]), list(self.order[1:])
         in_order = net_gap(s[:, behind], s[:, ahead], self.length[ahead])
         return np.maximum(in_order, net_gap(s[:, ahead], s[:, behind], self.length[behind]))
 
     @property
-    def ttc(self) -> Float[np.ndarray, "T 2"]:
+    def ttc(self) -> Float[np.ndarray, "T F"]:
         """Times to collision [s] over the same gaps; +inf where the vehicles are not in each other's path."""
         s, v = self.feature("s"), self.feature("v")
-        behind, ahead = list(self.order[:2]), list(self.order[1:])
+        behind, ahead = list(self.order[:-1]), list(self.order[1:])
         opening = np.where(s[:, ahead] >= s[:, behind], 1, -1) * (v[:, ahead] - v[:, behind])
         return np.where(self.in_path, time_to_collision(self.gap, -opening, np.zeros_like(opening)), np.inf)
 
     @property
-    def jerk(self) -> Float[np.ndarray, "T 3"]:
+    def jerk(self) -> Float[np.ndarray, "T N"]:
         """Change of acceleration since the previous instant [m/s³]; 0 at the first one."""
         a = self.feature("a")
-        return np.vstack([np.zeros((1, 3)), np.diff(a, axis=0) / np.diff(self.time)[:, None]])
+        return np.vstack([np.zeros_like(a[:1]), np.diff(a, axis=0) / np.diff(self.time)[:, None]])
 
     @property
     def order_kept(self) -> bool:
         """Whether the drive was completed without contact and every follower is behind its leader by δ_f at the end.
 
-        This is the paper's success. Completed means driven to the horizon, or merged. Car following has the followers 0
-        and 1, a merge has vehicle 0 behind the leader 2 (Sec. VI-E of the paper).
+        This is the paper's success. Completed means driven to the horizon, or merged. Car following has all but the
+        leader as followers, a merge has vehicle 0 behind the leader 2 (Sec. VI-E of the paper).
         """
         s = self.feature("s")[np.flatnonzero(self.during_drive)[-1]]
-        followed = ((0, 1), (1, 2)) if self.order == (0, 1, 2) else ((0, 2),)
+        followed = pairwise(self.order) if self.in_lane else ((0, 2),)
         return self.ending in ARRIVED and all(s[ahead] - s[behind] >= SUCCESS_HEADWAY for behind, ahead in followed)
 
     @property
     def counted_contacts(self) -> tuple[Contact, ...]:
         """The contacts between members, and those of judged roles; not those of an undriven member with an outsider."""
-        judged, members = {str(role) for role in self.judged_roles}, {"0", "1", "2"}
+        judged, members = {str(role) for role in self.judged_roles}, {str(role) for role in self.order}
         sides = [(contact, set(contact.who.split("→"))) for contact in self.contacts]
         return tuple(contact for contact, both in sides if both & judged or both <= members)
 

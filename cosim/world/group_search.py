@@ -1,4 +1,4 @@
-"""Finding groups of three interacting vehicles in traffic, and why there are not more; pure functions of snapshots."""
+"""Finding groups of interacting vehicles in traffic, and why there are not more; pure functions of snapshots."""
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
@@ -8,12 +8,12 @@ import numpy as np
 from jaxtyping import Int
 
 from cosim.measures.surrogate_safety import net_gap
-from cosim.spec.scenario import CarFollowing, Merge
+from cosim.spec.scenario import USUAL_SIZE, CarFollowing, Merge
 from cosim.world.groups import SAME_LANE, Group, MergeLanes, everybody_ahead
 from cosim.world.snapshot import Snapshot
 
 OUTSIDE = "outside the study area"
-Ids = tuple[str, str, str]
+Ids = tuple[str, ...]
 Candidates = Iterator[tuple[Ids | None, str]]
 """The vehicles of each candidate with "", or with the first rule that it fails; None where it lacks a vehicle."""
 
@@ -74,21 +74,27 @@ def search_groups(
     return GroupSearch(tuple(groups), seen, failed)
 
 
-def why_not_more(rule: str, seen: int, failed: Mapping[str, int]) -> str:
+_NUMBERS = ("", "", "two", "three", "four", "five", "six", "seven", "eight")
+_ON_ENDING_LANE = "vehicles on the ending lane"
+
+
+def why_not_more(rule: str, seen: int, failed: Mapping[str, int], size: int = USUAL_SIZE) -> str:
     """How many candidates a search for groups of a rule saw, and how many failed which limit."""
-    noun = "chains of three vehicles in the study area" if rule == "car_following" else "vehicles on the ending lane"
+    noun = f"chains of {_NUMBERS[size]} vehicles in the study area" if rule == "car_following" else _ON_ENDING_LANE
     reasons = [f"{count} {reason}" for reason, count in sorted(failed.items(), key=lambda item: (-item[1], item[0]))]
     return f"{seen} {noun} seen, once a second" + (f": {'; '.join(reasons)}" if reasons else "")
 
 
 def _chains(history: Sequence[Snapshot], rule: CarFollowing, barred: Mapping[str, str]) -> Candidates:
-    """Triples in one lane of the study area, each vehicle the next one's leader, now and during the whole history."""
+    """Chains in one lane of the study area, each vehicle the next one's leader, now and during the whole history."""
     now, ahead = history[-1], everybody_ahead(history[-1])
-    rear = np.flatnonzero((ahead >= 0) & (ahead[ahead] >= 0))
-    rows = np.stack([rear, ahead[rear], ahead[ahead[rear]]], axis=1)
+    rows = np.arange(len(ahead))[:, None]
+    for _ in range(rule.size - 1):
+        following = np.concatenate([rows, ahead[rows[:, -1:]]], axis=1)
+        rows = following[following[:, -1] >= 0]
     outside = np.array([barred.get(vehicle) == OUTSIDE for vehicle in now.ids], dtype=bool)
     rows = rows[~outside[rows].any(axis=1)]
-    ids: list[Ids] = [(now.ids[k], now.ids[i], now.ids[j]) for k, i, j in rows.tolist()]
+    ids: list[Ids] = [tuple(now.ids[row] for row in of) for of in rows.tolist()]
     reasons = [next((barred[vehicle] for vehicle in of if vehicle in barred), "") for of in ids]
     free = [k for k, reason in enumerate(reasons) if not reason]
     for k, failure in zip(free, _chain_failures(history, rule, rows[free]), strict=True):
@@ -96,27 +102,27 @@ def _chains(history: Sequence[Snapshot], rule: CarFollowing, barred: Mapping[str
     yield from zip(ids, reasons, strict=True)
 
 
-def _chain_failures(history: Sequence[Snapshot], rule: CarFollowing, rows: Int[np.ndarray, "C 3"]) -> list[str]:
+def _chain_failures(history: Sequence[Snapshot], rule: CarFollowing, rows: Int[np.ndarray, "C N"]) -> list[str]:
     """The first limit that each chain fails, given by its rows in the last snapshot; "" where it fails none."""
     now = history[-1]
-    d, v, gap = now.d[rows], now.v[rows], net_gap(now.s[rows[:, :2]], now.s[rows[:, 1:]], now.length[rows[:, 1:]])
+    d, v, gap = now.d[rows], now.v[rows], net_gap(now.s[rows[:, :-1]], now.s[rows[:, 1:]], now.length[rows[:, 1:]])
     reordered, moved, unsteady = (np.zeros(len(rows), dtype=bool) for _ in range(3))
     for snapshot, at in zip(history, _rows_during(history, rows), strict=True):
         present = (at >= 0).all(axis=1)
         reordered |= ~present
         if present.any():
-            reordered |= (everybody_ahead(snapshot)[at[:, :2]] != at[:, 1:]).any(axis=1)
+            reordered |= (everybody_ahead(snapshot)[at[:, :-1]] != at[:, 1:]).any(axis=1)
             moved |= (np.abs(snapshot.d[at] - d) >= SAME_LANE).any(axis=1)
             unsteady |= (np.abs(np.diff(snapshot.v[at], axis=1)) > rule.max_speed_difference).any(axis=1)
     limits = [
         (f"gap < {rule.min_gap:g} m", gap < rule.min_gap),
         (f"gap > {rule.max_gap:g} m", gap > rule.max_gap),
-        (f"time gap > {rule.max_time_gap:g} s", gap > rule.max_time_gap * v[:, :2]),
-        (f"speed < {rule.min_speed:g} m/s", v[:, :2] < rule.min_speed),
+        (f"time gap > {rule.max_time_gap:g} s", gap > rule.max_time_gap * v[:, :-1]),
+        (f"speed < {rule.min_speed:g} m/s", v[:, :-1] < rule.min_speed),
     ]
     checks = [
         ("in another order or lane during the history", reordered),
-        *((text, of[:, follower]) for follower in (0, 1) for text, of in limits),
+        *((text, of[:, follower]) for follower in range(rule.size - 1) for text, of in limits),
         ("lane change during the history", moved),
         (f"speed difference > {rule.max_speed_difference:g} m/s during the history", unsteady),
         ("", np.ones(len(rows), dtype=bool)),
@@ -125,7 +131,7 @@ def _chain_failures(history: Sequence[Snapshot], rule: CarFollowing, rows: Int[n
     return [checks[k][0] for k in first.tolist()]
 
 
-def _rows_during(history: Sequence[Snapshot], rows: Int[np.ndarray, "C 3"]) -> Iterator[Int[np.ndarray, "C 3"]]:
+def _rows_during(history: Sequence[Snapshot], rows: Int[np.ndarray, "C N"]) -> Iterator[Int[np.ndarray, "C N"]]:
     """The rows of the same vehicles in each snapshot; −1 where a vehicle is absent."""
     members, which = np.unique(rows, return_inverse=True)
     names = [history[-1].ids[row] for row in members.tolist()]

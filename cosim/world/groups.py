@@ -1,7 +1,8 @@
-"""Groups of three interacting vehicles: their roles and lanes, and which of them can be driven in one branch.
+"""Groups of interacting vehicles: their roles and lanes, and which of them can be driven in one branch.
 
-Roles: in car following 0 follows 1 follows 2; in merging 0 merges between the lag vehicle 1 and the leader 2. Vehicle 2
-is the given leader, which SUMO drives (Sec. VI-C, VI-D of the paper).
+Roles: in car following 0 follows 1, 1 follows 2, and so on; in merging 0 merges between the lag vehicle 1 and the
+leader 2. The last role is the given leader, which SUMO drives (Sec. VI-C, VI-D of the paper). A merge has three
+vehicles, car following two to eight.
 """
 
 from collections.abc import Sequence
@@ -20,10 +21,15 @@ SAME_LANE = 1.0  # [m] of lateral distance; lanes are wider than 3 m, vehicles k
 
 @dataclass(frozen=True)
 class Group:
-    """The ids of three interacting vehicles in the order of their roles 0, 1, 2; `time` [s] is when they were found."""
+    """The ids of N interacting vehicles in the order of their roles 0 … N−1; `time` [s] is when they were found."""
 
-    ids: tuple[str, str, str]
+    ids: tuple[str, ...]
     time: float
+
+    @property
+    def leader(self) -> str:
+        """The vehicle of the last role."""
+        return self.ids[-1]
 
 
 @dataclass(frozen=True)
@@ -78,9 +84,9 @@ class MergeLanes:
         return self.targets or frozenset({self.target.lane})
 
 
-def order_of(rule: CarFollowing | Merge) -> tuple[int, int, int]:
+def order_of(rule: CarFollowing | Merge) -> tuple[int, ...]:
     """The roles from the rear to the front."""
-    return (0, 1, 2) if isinstance(rule, CarFollowing) else (1, 0, 2)
+    return tuple(range(rule.size)) if isinstance(rule, CarFollowing) else (1, 0, 2)
 
 
 def next_ahead(snapshot: Snapshot, rows: Int[np.ndarray, " R"]) -> Int[np.ndarray, " R"]:
@@ -135,10 +141,10 @@ def everybody_ahead(snapshot: Snapshot) -> Int[np.ndarray, " V"]:
 
 
 def isolated(groups: Sequence[Group], now: Snapshot) -> list[tuple[Group, ...]]:
-    """The groups, sorted into sets that can be driven in one branch each because none acts on another's vehicle 2.
+    """The groups, sorted into sets that can be driven in one branch each because none acts on another's leader.
 
-    In a set the vehicles 0 and 1 of every group are behind the vehicle 2 of every group, in whatever lanes. So nothing
-    that a policy drives is ahead of a vehicle 2. Two groups in one lane are never in one set. Each group is in the
+    In a set the followers of every group are behind the leader of every group, in whatever lanes. So nothing that a
+    policy drives is ahead of a leader. Two groups in one lane are never in one set. Each group is in the
     first set that it fits into.
     """
     s = {vehicle: float(now.s[row]) for vehicle, row in now.row_of.items()}
@@ -147,8 +153,8 @@ def isolated(groups: Sequence[Group], now: Snapshot) -> list[tuple[Group, ...]]:
 
         def fits(others: list[Group], group: Group = group) -> bool:
             together = [*others, group]
-            foremost_driven = max(s[vehicle] for one in together for vehicle in one.ids[:2])
-            return foremost_driven < min(s[one.ids[2]] for one in together)
+            foremost_driven = max(s[vehicle] for one in together for vehicle in one.ids[:-1])
+            return foremost_driven < min(s[one.leader] for one in together)
 
         place = next(filter(fits, sets), None)
         if place is None:
@@ -161,5 +167,5 @@ def isolated(groups: Sequence[Group], now: Snapshot) -> list[tuple[Group, ...]]:
 def expected_graph(rule: CarFollowing | Merge) -> dict[tuple[int, int], EdgeType]:
     """The relations that the definition of the group rule implies; all other pairs have none."""
     if isinstance(rule, CarFollowing):
-        return {(1, 0): EdgeType.FOLLOW, (2, 1): EdgeType.FOLLOW}
+        return {(j + 1, j): EdgeType.FOLLOW for j in range(rule.size - 1)}
     return {(2, 0): EdgeType.FOLLOW, (1, 0): EdgeType.CUT_IN, (0, 1): EdgeType.YIELD}

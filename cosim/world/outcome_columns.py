@@ -4,12 +4,16 @@
 `with_outcome_columns` adds the columns to them.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 import pandas as pd
 
 from cosim.world.episode import ARRIVED, INTERRUPTED, BrokenUpBy, Episode
+
+MOST_ROLES = 8
+"""Vehicles of a group, at most."""
 
 
 def outcome_columns(episode: Episode) -> dict[str, Any]:
@@ -49,6 +53,11 @@ def with_outcome_columns(table: pd.DataFrame) -> pd.DataFrame:
         contact_after_hand_back=False,
         judged_after=0.0,
     )
+
+
+def group_size(group: Mapping[Any, Any]) -> int:
+    """The number of vehicles of a group, a row of the groups table."""
+    return sum(f"vehicle_{role}" in group and not pd.isna(group[f"vehicle_{role}"]) for role in range(MOST_ROLES))
 
 
 @dataclass(frozen=True)

@@ -282,14 +282,14 @@ def _turned(x: np.ndarray, y: np.ndarray, direction: np.ndarray) -> tuple[np.nda
     return x * direction[0] + y * direction[1], direction[0] * y - direction[1] * x
 
 
-def model_offsets(length: Float[np.ndarray, "G 3"], order: tuple[int, ...] = (0, 1, 2)) -> Float[np.ndarray, "G 3"]:
+def model_offsets(length: Float[np.ndarray, "G N"], order: tuple[int, ...] | None = None) -> Float[np.ndarray, "G N"]:
     """Offsets [m] of `s` that turn every headway of a group into the net gap plus `NOMINAL_LENGTH`.
 
-    `order` lists the roles from the rear to the front. The rearmost vehicle has the offset 0. Every vehicle ahead is
-    shifted by the sum of (nominal − true length) of itself and the vehicles between. Offsets are constant in time, so
-    they change neither speeds and accelerations nor the dynamics.
+    `order` lists the roles from the rear to the front, by default 0, 1, and so on. The rearmost vehicle has the offset
+    0. Every vehicle ahead is shifted by the sum of (nominal − true length) of itself and the vehicles between. Offsets
+    are constant in time, so they change neither speeds and accelerations nor the dynamics.
     """
     offsets = np.zeros_like(length)
-    for behind, ahead in pairwise(order):
+    for behind, ahead in pairwise(range(length.shape[1]) if order is None else order):
         offsets[:, ahead] = offsets[:, behind] + NOMINAL_LENGTH - length[:, ahead]
     return offsets

@@ -19,23 +19,23 @@ def safety_measures(episode: Episode, third: Sequence[str] | None = None) -> dic
 
     Args:
         episode: with its surroundings; without them the measures to other vehicles are those of an empty road.
-        third: the vehicles that count as vehicle 2; by default the one that had this role at the take-over.
+        third: the vehicles that count as the leader; by default the one that had this role at the take-over.
 
     Other vehicles are measured where they are less than 80 m away from a driven one in its lane, or less than 25 m
     along the road in a lane beside it.
     """
     driven = episode.judged_roles
     during = (episode.time > episode.group.time + 1e-6) & (episode.time <= episode.end + 1e-6)
-    members = [track_of_role(episode, role)[during] for role in (0, 1)]
+    members = [track_of_role(episode, role)[during] for role in episode.followers]
     around = episode.surroundings
     if around is None:
-        return conflicts([*members, track_of_role(episode, 2)[during]], driven)
+        return conflicts([*members, track_of_role(episode, episode.order[-1])[during]], driven)
     around = around[(around.time > episode.group.time + 1e-6) & (around.time <= episode.end + 1e-6)]
-    third = episode.group.ids[2:] if third is None else third
+    third = episode.group.ids[-1:] if third is None else third
     known = [around.ids.index(name) for name in third if name in around.ids]
     members += [track_of(around, np.flatnonzero(around.vehicle == k)) for k in known]
     others = _near(episode, driven, around)
-    own = [k for k, name in enumerate(around.ids) if name in episode.group.ids[:2]]
+    own = [k for k, name in enumerate(around.ids) if name in episode.group.ids[:-1]]
     return conflicts(
         [member for member in members if len(member.time)],
         driven,

@@ -81,6 +81,17 @@ class InteractionGraph:
         types = [vocabulary.index(edges.get(pair, EdgeType.NONE)) for pair in which]
         return cls.certain(torch.tensor([types] * batch), vocabulary, candidates)
 
+    def on(self, candidates: tuple[tuple[int, int], ...]) -> "InteractionGraph":
+        """The same graph on other candidate pairs, in lexicographic order; pairs that it lacks have type none."""
+        if candidates == tuple(self.pairs):
+            return self
+        place = {pair: k for k, pair in enumerate(self.pairs)}
+        none = self.logits.new_full((len(self), 1, self.logits.shape[-1]), -30.0)
+        none[..., 0] = 0.0
+        every = torch.cat([self.logits, none], 1)
+        rows = [place.get(pair, len(place)) for pair in candidates]
+        return replace(self, logits=every[:, rows], candidates=candidates)
+
     @property
     def probs(self) -> Float[Tensor, "B E K"]:
         """Probabilities of the edge types."""

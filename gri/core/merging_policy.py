@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from gri.core.dynamics import DUBINS, Dynamics
+from gri.core.nearby import Nearby
 from gri.core.policy import IntelligentDriver, PolicyState
 from gri.core.trajectory import Trajectory
 
@@ -52,11 +53,18 @@ class MergingDriver:
         """Time between two actions [s]."""
         return self.driver.dt
 
+    @property
+    def sees_nearby(self) -> bool:
+        """Whether it also follows vehicles in its path that are not in the group."""
+        return self.driver.sees_nearby
+
     def begin(self, history: Trajectory) -> PolicyState:
         """Nothing to infer."""
         return PolicyState.empty(history)
 
-    def act(self, memory: PolicyState, state: Float[Tensor, "B N 6"]) -> tuple[Float[Tensor, "B N 2"], PolicyState]:
+    def act(
+        self, memory: PolicyState, state: Float[Tensor, "B N 6"], nearby: Nearby | None = None
+    ) -> tuple[Float[Tensor, "B N 2"], PolicyState]:
         """Jerk and yaw acceleration of every vehicle."""
         x, y, v, heading, a, yaw_rate = state.unbind(-1)
         merged = y > -0.5 * self.width
@@ -66,6 +74,8 @@ class MergingDriver:
         with_mergers, _ = self._following(ahead, v)
         yielding = torch.minimum(target, with_mergers.clamp(min=-self.courtesy))
         target = torch.where(merged, yielding, target)
+        if nearby is not None:
+            target = torch.minimum(target, self.driver.behind_others(v, nearby))
         safe = self._safe(distance, v, headway) & (target >= -self.safe_deceleration)
         desired_y = torch.where(merged | safe, torch.zeros_like(y), -self.width)
         desired_yaw_rate = self.yaw_rate_to(desired_y, y, v, heading)

@@ -14,6 +14,7 @@ from torch import Tensor
 
 from gri.core.dynamics import POINT_MASS_1D, Dynamics
 from gri.core.graph import InteractionGraph
+from gri.core.nearby import Nearby
 from gri.core.trajectory import Trajectory
 
 
@@ -49,7 +50,11 @@ class PolicyState:
 
 @runtime_checkable
 class Policy(Protocol):
-    """Anything that drives groups of vehicles."""
+    """Anything that drives groups of vehicles.
+
+    A policy with an attribute `sees_nearby` that is true gets a third argument in `act`: the vehicles around the groups
+    (`gri.core.nearby.Nearby`), as they are at present.
+    """
 
     @property
     def dynamics(self) -> Dynamics:
@@ -118,6 +123,8 @@ class IntelligentDriver:
     """a_max [m/s²]."""
     deceleration: float = 1.69
     """b, the comfortable deceleration [m/s²]."""
+    sees_nearby: bool = False
+    """Also behind vehicles that are not in the group, where the caller says who is near."""
     dynamics: Dynamics = POINT_MASS_1D
     history_steps: int = 1
 
@@ -125,13 +132,22 @@ class IntelligentDriver:
         """Nothing to infer."""
         return PolicyState.empty(history)
 
-    def act(self, memory: PolicyState, state: Float[Tensor, "B N 3"]) -> tuple[Float[Tensor, "B N 1"], PolicyState]:
+    def act(
+        self, memory: PolicyState, state: Float[Tensor, "B N 3"], nearby: Nearby | None = None
+    ) -> tuple[Float[Tensor, "B N 1"], PolicyState]:
         x, v, a = state.unbind(-1)
         ahead = x[:, None, :] - x[:, :, None]  # Shape: (B, follower, leader)
         ahead = torch.where(ahead > 0, ahead, torch.inf)
         headway, leader = ahead.min(-1)
         target = self.target_acceleration(v, v.gather(1, leader), headway)
+        if nearby is not None:
+            target = torch.minimum(target, self.behind_others(v, nearby))
         return ((target - a) / self.dt)[..., None], memory
+
+    def behind_others(self, v: Float[Tensor, "B N"], nearby: Nearby) -> Float[Tensor, "B N"]:
+        """a [m/s²] behind the next vehicle ahead that is in the path and not in the group."""
+        gap, v_ahead = nearby.next_ahead()
+        return self.target_acceleration(v, v_ahead, gap + self.length)
 
     def target_acceleration(
         self, v: Float[Tensor, "*batch"], v_ahead: Float[Tensor, "*batch"], headway: Float[Tensor, "*batch"]

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from cosim.runs.run_reading import read_json, read_tables
+from cosim.runs.finished_run import read_scenario
+from cosim.runs.run_reading import read_tables
 from cosim.runs.surroundings_table import read_surroundings
-from cosim.spec.scenario import Scenario
 from gri.errors import InputError
 
 COLUMNS = ("time", "vehicle", "x", "y", "heading", "v", "a", "length", "width")
@@ -52,7 +52,7 @@ def vehicles_of(folder: Path, episode: int, counterpart: bool = False) -> Moving
     if not len(found):
         known = f"the episodes {groups['episode'].min()} to {groups['episode'].max()}" if len(groups) else "none"
         raise InputError(f"--episode: got {episode}, {folder} has {known}")
-    scenario = read_json(folder / "scenario.json", Scenario)
+    scenario = read_scenario(folder)
     rows = read_surroundings(folder, episode, counterpart)
     if rows is None or not len(rows):
         rows = _group(tables["steps"], found.iloc[0], episode, counterpart)

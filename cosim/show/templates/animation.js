@@ -10,7 +10,7 @@ function make(parent, name, attributes, text) {
   return node;
 }
 function marker(svg, role, x, y, colour) {
-  const shape = [`M${x - 3} ${y}a3 3 0 1 0 6 0a3 3 0 1 0 -6 0`, `M${x - 3} ${y - 3}h6v6h-6z`, `M${x} ${y - 4}l4 7h-8z`][role];
+  const shape = [`M${x - 3} ${y}a3 3 0 1 0 6 0a3 3 0 1 0 -6 0`, `M${x - 3} ${y - 3}h6v6h-6z`, `M${x} ${y - 4}l4 7h-8z`][role % 3];
   make(svg, "path", {d: shape, fill: colour});
 }
 function chart(svg, W, y, episode, name, unit, limit) {
@@ -32,7 +32,7 @@ function chart(svg, W, y, episode, name, unit, limit) {
       path += (pen ? "L" : "M") + x(k).toFixed(1) + " " + at(value).toFixed(1); pen = true;
       if (k % 20 === 7 * v.role) marker(svg, v.role, x(k), at(value), `var(--v${v.role})`);
     });
-    if (path) make(svg, "path", {d: path, fill: "none", stroke: `var(--v${v.role})`, "stroke-width": 1.8, "stroke-dasharray": DASH[v.role]});
+    if (path) make(svg, "path", {d: path, fill: "none", stroke: `var(--v${v.role})`, "stroke-width": 1.8, "stroke-dasharray": DASH[v.role % 3]});
   }
   const every = W < 420 ? 5 : 2;
   for (let s = Math.ceil(t[0] / every) * every; s <= t[t.length - 1]; s += every)

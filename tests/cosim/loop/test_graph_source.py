@@ -5,9 +5,9 @@ import math
 import pytest
 import torch
 
-from cosim.loop.graph_source import graph_from_source, keep_where_unknown, smoothed
-from cosim.spec.scenario import Enforced, GroundTruth, Inferred, Merge
-from gri.core.graph import FOLLOWING, LANE_CHANGING, EdgeType, InteractionGraph
+from cosim.loop.graph_source import graph_from_source, keep_where_unknown, on_same_pairs, smoothed
+from cosim.spec.scenario import CarFollowing, Enforced, GroundTruth, Inferred, Merge
+from gri.core.graph import FOLLOWING, LANE_CHANGING, EdgeType, InteractionGraph, pairs
 
 RULE = Merge(lane="weave_0", zone=(0.0, 10.0))
 INFERRED = InteractionGraph(torch.randn(2, 6, 4, generator=torch.Generator().manual_seed(1)), LANE_CHANGING)
@@ -40,6 +40,7 @@ def test_the_last_graph_is_kept_only_where_the_scene_is_unknown_and_the_source_s
     assert keep_where_unknown(new, last, Inferred()) is new
     assert keep_where_unknown(INFERRED, last, Inferred(when_unknown="keep")) is INFERRED
     kept = keep_where_unknown(new, last, Inferred(when_unknown="keep"))
+    assert new.unknown is not None
     for scene in range(len(new)):
         wanted = last if float(new.unknown[scene]) > 1 else new
         assert torch.equal(kept.logits[scene], wanted.logits[scene])
@@ -75,3 +76,20 @@ def test_without_smoothing_and_with_prescribed_edges_the_new_graph_counts_alone(
     new, last = following(0.4), following(0.9)
     assert smoothed(new, last, Inferred(smoothing=False), 1.0, 5.0) is new
     assert smoothed(new, last, Enforced(edges={"1->0": "follow"}), 1.0, 5.0) is new
+
+
+def test_a_sparse_graph_gets_the_pairs_that_are_enforced():
+    """Five vehicles in a lane: pairs of neighbours are candidates, and 4->0 becomes one."""
+    rule, neighbours = CarFollowing(size=5), tuple((i, j) for i, j in pairs(5) if abs(i - j) == 1)
+    logits = torch.randn(2, len(neighbours), 2, generator=torch.Generator().manual_seed(2))
+    graph = InteractionGraph(logits, FOLLOWING, candidates=neighbours)
+    true = graph_from_source(graph, GroundTruth(), rule)
+    assert set(true.edges()) == {(j + 1, j) for j in range(4)}
+    enforced = graph_from_source(graph, Enforced(edges={"4->0": "follow", "1->0": "none"}), rule)
+    assert set(enforced.pairs) == {*neighbours, (4, 0)}
+    assert enforced.edges()[4, 0][0] is EdgeType.FOLLOW
+    assert (1, 0) not in enforced.edges()
+    torch.testing.assert_close(enforced.logits[:, enforced.pairs.index((2, 1))], logits[:, neighbours.index((2, 1))])
+    same = on_same_pairs([enforced, graph])
+    assert same[0].pairs == same[1].pairs
+    assert same[1].edges().keys() == graph.edges().keys()

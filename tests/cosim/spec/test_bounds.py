@@ -100,3 +100,37 @@ def test_the_file_or_the_option_raises_the_limit(tmp_path):
     with pytest.raises(InputError, match=r"long.yaml: the run may need 3,003,000 steps, more than 2,000,000"):
         load_scenario(str(tmp_path / "long.yaml"))
     assert load_scenario(str(tmp_path / "long.yaml"), max_work=4.0).max_work == 4
+
+
+@pytest.mark.parametrize("size", [2, 3, 5, 8])
+def test_all_but_the_leader_are_driven(size):
+    scenario = override(load_scenario(US101), {"group": {"rule": "car_following", "size": size}})
+    assert scenario.driven_roles == tuple(range(size - 1))
+
+
+@pytest.mark.parametrize(
+    ("scenario", "changes", "message"),
+    [
+        (US101, {"group": {"rule": "car_following", "size": 9}}, "group.size: Expected `int` <= 8"),
+        (US101, {"group": {"rule": "car_following", "size": 1}}, "group.size: Expected `int` >= 2"),
+        (US101, {"driven": [2]}, "expected roles from 0 to 1; the leader is 2"),
+        (US101, {"group": {"rule": "car_following", "size": 2}, "driven": [0, 1]}, "expected roles from 0 to 0"),
+        (US101, {"graph": {"source": "enforced", "edges": {"4->3": "none"}}}, "expected vehicles from 0 to 2"),
+        (
+            US101,
+            {
+                "group": {"rule": "car_following", "size": 4},
+                "perturbations": [{"kind": "remove_third", "intensity": 0.5}],
+            },
+            "a group of three",
+        ),
+        (
+            "us101_merge",
+            {"group": {"rule": "merge", "lane": "weave_0", "zone": [0, 10], "size": 5}},
+            "size is 5, expected 3: a merge has",
+        ),
+    ],
+)
+def test_sizes_of_groups_are_checked(scenario, changes, message):
+    with pytest.raises(InputError, match=message):
+        override(load_scenario(scenario), changes)

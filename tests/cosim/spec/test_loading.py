@@ -7,8 +7,8 @@ import msgspec
 import pytest
 import yaml
 
-from cosim.spec.loading import load_scenario, override, shipped_names
-from cosim.spec.scenario import CarFollowing, Scenario, json_schema
+from cosim.spec.loading import json_schema, load_scenario, override, shipped_names
+from cosim.spec.scenario import CarFollowing, Scenario
 from gri.errors import InputError
 from gri.resources import shipped
 

@@ -3,6 +3,7 @@
 from collections import Counter
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -177,3 +178,20 @@ def test_the_reasons_are_told_most_frequent_first():
     told = why_not_more("car_following", found.seen, found.failed)
     assert told == "4 chains of three vehicles in the study area seen, once a second: 2 gap < 2 m; 1 gap > 45 m"
     assert why_not_more("merge", 0, {}) == "0 vehicles on the ending lane seen, once a second"
+
+
+def test_chains_of_any_size():
+    """Five vehicles in a row: the chains of four and five, and how a missing one is told."""
+    rows = [traffic(*((name, 20.0 * k, 0.0) for k, name in enumerate("abcde")), time=t) for t in (0.0, 1.0)]
+    assert pick(rows, replace_size(5)) == [tuple("abcde")]
+    assert pick(rows, replace_size(4)) == [tuple("bcde")]  # the one farthest ahead; no vehicle is in two groups
+    assert pick(rows, replace_size(2)) == [("d", "e"), ("b", "c")]
+    assert pick(rows, replace_size(6)) == []
+    assert (
+        why_not_more("car_following", 7, {}, size=5)
+        == "7 chains of five vehicles in the study area seen, once a second"
+    )
+
+
+def replace_size(size: int) -> CarFollowing:
+    return msgspec.structs.replace(RULE, size=size)

@@ -1,0 +1,43 @@
+"""The vehicles around the groups of a round, as a policy gets them that looks at more than its own group."""
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+import torch
+
+from cosim.loop.state_layouts import Pose
+from cosim.world.snapshot import Snapshot
+from gri.core.nearby import Nearby
+
+REACH = 100.0  # [m] along the road, from any vehicle of a group
+
+
+def nearby_vehicles(now: Snapshot, members: Sequence[Collection[str]], pose: Pose) -> Nearby:
+    """Who is near each group, of all vehicles of a snapshot that are not its `members`.
+
+    `pose` are the places of the group's vehicles. Vehicles of other groups are among those around a group.
+    """
+    rows = [_rows(now, of, s) for of, s in zip(members, pose.s, strict=True)]
+    most = max((len(of) for of in rows), default=0)
+    padded = np.array([[*of, *[-1] * (most - len(of))] for of in rows], dtype=int).reshape(len(rows), most)
+    present, at = padded >= 0, np.maximum(padded, 0)
+
+    def of(feature: np.ndarray) -> np.ndarray:
+        return feature[at] if most else np.zeros(at.shape)
+
+    def tensor(values: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(values.astype(np.float32))
+
+    return Nearby(
+        ahead=tensor(of(now.s)[:, None] - pose.s[..., None]),
+        across=tensor(of(now.d)[:, None] - pose.d[..., None]),
+        v=tensor(of(now.v)),
+        length=tensor(of(now.length)),
+        width=tensor(of(now.width)),
+        present=torch.from_numpy(present),
+    )
+
+
+def _rows(now: Snapshot, members: Collection[str], s: np.ndarray) -> list[int]:
+    near = np.flatnonzero((now.s >= s.min() - REACH) & (now.s <= s.max() + REACH))
+    return [row for row in near.tolist() if now.ids[row] not in members]
