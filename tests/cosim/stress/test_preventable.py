@@ -1,6 +1,5 @@
 """Preventable contacts: those that a reference driver does not have on the same start."""
 
-import numpy as np
 import pandas as pd
 
 from cosim.stress.preventable import preventable, preventable_text
@@ -40,4 +39,3 @@ def test_contacts_of_both_are_not_preventable():
 def test_without_a_reference_driver_there_is_no_table():
     assert preventable(rows(gri=[True] * 4, idm=[False] * 4)).empty
     assert preventable_text(pd.DataFrame(), ["nominal"]) == ""
-    assert np.isnan(preventable(rows(gri=[True] * 4, fsm=[False] * 4)).loc[0, "low"]) is np.False_
