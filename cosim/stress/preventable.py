@@ -27,7 +27,7 @@ def preventable(rows: pd.DataFrame) -> pd.DataFrame:
     for key, part in feasible.groupby(CELL, dropna=False, sort=False):
         kind, intensity, policy = key
         same = (feasible["perturbation"] == kind) & (
-            feasible["intensity"].isna() if pd.isna(intensity) else feasible["intensity"] == intensity
+            feasible["intensity"].isna() if intensity != intensity else feasible["intensity"] == intensity
         )
         for benchmark in benchmarks:
             if benchmark == policy:
