@@ -18,7 +18,8 @@ def stress(
         str,
         typer.Option(
             help="Policies, separated by commas: idm, constant_velocity, sumo, gri (the scenario's checkpoint),"
-            " supervised, or names and paths of checkpoints."
+            " supervised, names and paths of checkpoints, or reference drivers (r157, careful_human, fsm, rss). With"
+            " +rss at the end, such as gri+rss: with the safety filter."
         ),
     ] = "gri,idm,sumo",
     perturbation: Annotated[

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 
 from cosim.loop.graph_source import graph_from_source, keep_where_unknown, on_same_pairs, smoothed
+from cosim.loop.guard import guard_of
 from cosim.loop.intervention import Intervention, NoIntervention
 from cosim.loop.observation import GroupObservation
 from cosim.loop.policy_runner import Around, PolicyRunner
@@ -19,7 +20,7 @@ from cosim.loop.returning_vehicles import ReturningVehicles
 from cosim.loop.round_recorder import Round, RoundRecorder, hard_braking
 from cosim.loop.state_layouts import layout_of
 from cosim.loop.take_over_and_hand_back import Control, PolicyControl, SumoControl
-from cosim.spec.scenario import AFTERMATH, GraphSource, Inferred
+from cosim.spec.scenario import AFTERMATH, GraphSource, Inferred, RssFilter
 from cosim.sumo import Sumo
 from cosim.world.break_ups import earlier_positions, lane_entries, with_cause
 from cosim.world.contacts import contacts_of
@@ -30,18 +31,24 @@ from cosim.world.snapshot import Snapshot
 from cosim.world.surroundings import Instant, Surroundings
 from gri.core.graph import InteractionGraph
 from gri.core.policy import Policy
+from gri.reference_drivers.drivers import DriverName
 
 _S = COLUMNS.index("s")
 
 
 @dataclass(frozen=True)
 class Driver:
-    """A policy with its name and the source of its graph, which is inferred again every `reinfer` steps (0: never)."""
+    """A policy with its name and the source of its graph, which is inferred again every `reinfer` steps (0: never).
+
+    A `reference` driver brakes on top of the policy; `safety` is the filter of its actions.
+    """
 
     name: str
     policy: Policy
     graph: GraphSource = field(default_factory=Inferred)
     reinfer: int = 0
+    reference: DriverName | None = None
+    safety: RssFilter | None = None
 
 
 @dataclass(frozen=True)
@@ -98,8 +105,9 @@ def start_round(
         reinfer_steps=driver.reinfer,
         channels=intervention.channels(layout, road, len(observations)),
         around=_around(intervention, now),
+        guard=guard_of(driver.reference, driver.safety, this_round),
     )
-    runner.decide(now.time)
+    runner.decide(now)
     returning = ReturningVehicles(this_round.dt, this_round.lanes)
     return RoundStart(PolicyControl(driver.name, this_round, runner, returning), intervention, now, observations)
 
@@ -137,7 +145,7 @@ def drive(world: Sumo, road: RoadFrame, start: RoundStart) -> list[Episode]:
     step = 0
     while recorder.active:
         active, before = recorder.active, observations[-1]
-        control.decide(now.time)
+        control.decide(now)
         control.command(world, road, active, now)
         intervention.command(world, road, step, control.roles, now)
         report, step = world.step(), step + 1
@@ -221,6 +229,7 @@ def _episodes(
             events=tuple(recorder.events[g]) + braking,
             judged_roles=this_round.driven_roles,
             surroundings=around.near(time, state[g, :, members, _S], group.time, end + AFTERMATH),
+            filter_use=control.filter_use(g, end),
         )
         episodes.append(episode)
     return episodes

@@ -9,13 +9,14 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from cosim.loop.guard import Guard
 from cosim.loop.nearby_vehicles import nearby_vehicles
 from cosim.loop.observation import GroupObservation
 from cosim.loop.own_policy import PolicyFailure
 from cosim.loop.state_layouts import Layout
 from cosim.perturb.effects import Effect
 from cosim.perturb.sensing_and_control import SensingAndControl
-from cosim.world.episode import COLUMNS
+from cosim.world.episode import COLUMNS, FilterUse
 from cosim.world.snapshot import Snapshot
 from gri.core.graph import InteractionGraph
 from gri.core.policy import Policy, PolicyState
@@ -38,7 +39,7 @@ class PolicyRunner:
     vehicles have a view each, the policy gets the groups once per view, and each role is driven by its own view.
     `around` are the vehicles near the round at its start, for policies that look at them (`sees_nearby`).
     `graphs` are the graphs used so far, each with its time [s]; an effect on a vehicle is the one in the view that
-    drives it.
+    drives it. `guard` changes actions before the vehicles carry them out.
     """
 
     def __init__(
@@ -54,6 +55,7 @@ class PolicyRunner:
         reinfer_steps: int,
         channels: SensingAndControl,
         around: Around | None = None,
+        guard: Guard | None = None,
     ) -> None:
         assert policy.dynamics.name is layout.dynamics.name, f"cannot drive {policy.dynamics.name} states here"
         self._policy, self._layout, self._dt = policy, layout, dt
@@ -69,6 +71,7 @@ class PolicyRunner:
         self._state = self._commanded = layout.states(start.state)
         self.pose = layout.pose(self._commanded)
         self._decided_at: float | None = None
+        self._guard = guard
         self._steps, self._took_over = 0, history[-1].time
         self.graphs: list[tuple[float, InteractionGraph]] = []
         self.failures: dict[int, str] = {}  # groups for which the policy has given no usable answer, and why
@@ -96,19 +99,24 @@ class PolicyRunner:
         if self._memory.graph is not None:
             self.graphs.append((time, _graph_of_views(self._memory.graph, self._channels.view_of)))
 
-    def decide(self, time: float) -> None:
+    def decide(self, now: Snapshot) -> None:
         """Call the policy and the dynamics: `pose` becomes where the vehicles are to be after the next step.
 
         A policy with a longer period than the step keeps its action until the period is over.
-        A second call at the same `time` [s] changes nothing, so that the first decision can be made before a branch.
+        A second call at the same instant changes nothing, so that the first decision can be made before a branch.
         """
+        time = now.time
         if time == self._decided_at:
             return
         self._decided_at = time
         observed = self._observed()
         if self._steps % self._every == 0:
             self._action_now = self._usable(self._of_own_view(self._action(observed, time)))
-        action = self._channels.executed_action(self._action_now)
+        allowed = self._action_now
+        if self._guard is not None:
+            changed = self._guard.change(self._state, allowed.numpy().astype(float), now, self._layout)
+            allowed = torch.from_numpy(changed.astype(np.float32))
+        action = self._channels.executed_action(allowed)
         self._commanded = self._next_state(action.numpy().astype(float))
         self._steps += 1
         self.pose = self._layout.pose(self._commanded)
@@ -167,6 +175,10 @@ class PolicyRunner:
             return action
         views = action.unflatten(0, (self._channels.views, -1))
         return torch.stack([views[view, :, role] for role, view in enumerate(self._channels.view_of)], 1)
+
+    def filter_use(self, group: int, end: float) -> FilterUse | None:
+        """How the safety filter was used in a group that was driven until `end` [s]; None without one."""
+        return None if self._guard is None else self._guard.use(group, self._driven_roles, end)
 
     def effects(self, group: int, end: float) -> list[Effect]:
         """What perturbed sensors and actuators did to a group that was driven until `end` [s]."""

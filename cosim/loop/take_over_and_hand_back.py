@@ -17,7 +17,7 @@ from cosim.loop.policy_runner import Around, PolicyRunner
 from cosim.loop.returning_vehicles import ReturningVehicles, stop_of
 from cosim.loop.round_recorder import Round, RoundRecorder
 from cosim.sumo import Sumo
-from cosim.world.episode import COLUMNS, Ending, Event, EventKind
+from cosim.world.episode import COLUMNS, Ending, Event, EventKind, FilterUse
 from cosim.world.road_frame import RoadFrame
 from cosim.world.snapshot import Snapshot
 from gri.core.graph import InteractionGraph
@@ -61,9 +61,13 @@ class PolicyControl:
                 world.take(vehicle)
             recorder.add(g, Event(time, EventKind.TAKEN, vehicles))
 
-    def decide(self, time: float) -> None:
+    def decide(self, now: Snapshot) -> None:
         """Let the policy decide on the next poses."""
-        self.runner.decide(time)
+        self.runner.decide(now)
+
+    def filter_use(self, group: int, end: float) -> FilterUse | None:
+        """How the safety filter was used in a group until its `end` [s]; None without one."""
+        return self.runner.filter_use(group, end)
 
     def command(self, world: Sumo, road: RoadFrame, active: Sequence[int], now: Snapshot) -> None:
         """Tell SUMO the next poses of the driven vehicles of the active groups, and guide those handed back.
@@ -158,8 +162,12 @@ class SumoControl:
     def take_over(self, world: Sumo, recorder: RoundRecorder, time: float) -> None:
         """Take no vehicle."""
 
-    def decide(self, time: float) -> None:
+    def decide(self, now: Snapshot) -> None:
         """Decide nothing."""
+
+    def filter_use(self, group: int, end: float) -> FilterUse | None:
+        """No filter."""
+        del group, end
 
     def command(self, world: Sumo, road: RoadFrame, active: Sequence[int], now: Snapshot) -> None:
         """Command nothing."""

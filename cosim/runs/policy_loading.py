@@ -16,6 +16,7 @@ from gri.core.policy import ConstantVelocity, IntelligentDriver, Policy
 from gri.errors import InputError
 from gri.networks.model import CHAIN, RelationalModel
 from gri.networks.pair_encoder import PairEncoder
+from gri.reference_drivers.drivers import DriverName
 
 
 def driver_of(scenario: spec.Scenario, own: Policy | None = None) -> Driver | None:
@@ -34,13 +35,25 @@ def driver_of(scenario: spec.Scenario, own: Policy | None = None) -> Driver | No
     name = _name(scenario.policy, policy)
     if isinstance(scenario.policy, spec.UserPolicy):
         policy = OwnPolicy(policy, scenario.policy.decision_limit)
-    return Driver(name, policy, scenario.graph, scenario.steps(scenario.reinfer_s))
+    reference = reference_of(scenario.policy) if own is None else None
+    return Driver(
+        name, policy, scenario.graph, scenario.steps(scenario.reinfer_s), reference=reference, safety=scenario.safety
+    )
+
+
+def reference_of(choice: spec.Driver) -> DriverName | None:
+    """The reference driver that a policy names; None for any other policy."""
+    if isinstance(choice, spec.CarefulHuman):
+        return DriverName.CAREFUL_HUMAN_WANDERING if choice.variant == "wandering" else DriverName.CAREFUL_HUMAN
+    return DriverName(spec.tag_of(choice)) if isinstance(choice, spec.ReferencePolicy) else None
 
 
 def _name(choice: spec.Driver, policy: Policy) -> str:
     """The kind of policy; for a checkpoint the objective it was trained with, for an own policy its own name."""
     if isinstance(choice, spec.TrainedPolicy):
         return checkpoint.objective(checkpoint_path(choice.checkpoint))
+    if (reference := reference_of(choice)) is not None:
+        return reference.value
     return own_name(policy) if isinstance(choice, spec.UserPolicy) else spec.tag_of(choice)
 
 
@@ -55,8 +68,9 @@ def policy_of(scenario: spec.Scenario) -> Policy | None:
     match scenario.policy:
         case spec.LeftToSumo():
             return None
-        case spec.Idm(sees=sees):
-            model = IntelligentDriver(period, length=NOMINAL_LENGTH, sees_nearby=sees == "everybody")
+        case spec.Idm() | spec.R157() | spec.CarefulHuman() | spec.Fsm() | spec.Rss() as kind:
+            alone = isinstance(kind, spec.Idm) and kind.sees == "group"
+            model = IntelligentDriver(period, length=NOMINAL_LENGTH, sees_nearby=not alone)
             policy: Policy = model if in_lane else MergingDriver(model)
         case spec.ConstantVelocity():
             policy = ConstantVelocity(period, POINT_MASS_1D if in_lane else DUBINS)

@@ -32,7 +32,7 @@ from gri.resources import checkpoints
 Progress = Callable[[str, int, int], None]
 """Called with the stage of the run, the steps or episodes done in it, and their total."""
 
-_BASELINES = ("sumo", "idm", "constant_velocity")
+_BASELINES = ("sumo", "idm", "constant_velocity", "r157", "careful_human", "fsm", "rss")
 
 
 @dataclass(frozen=True)
@@ -152,9 +152,10 @@ def run(
 
     Args:
         scenario: name of a shipped scenario, path of a YAML file, or a `Scenario`.
-        policy: what drives the groups instead of the scenario's policy: "sumo", "idm" or "constant_velocity"; the name
-            or path of a checkpoint; "file.py:Name" or "package.module:Name" of your own policy; the mapping that a
-            YAML file would hold; or an object that has the attributes of `gri.Policy`.
+        policy: what drives the groups instead of the scenario's policy: "sumo", "idm", "constant_velocity", or a
+            reference driver ("r157", "careful_human", "fsm", "rss"); the name or path of a checkpoint; "file.py:Name"
+            or "package.module:Name" of your own policy; the mapping that a YAML file would hold; or an object that has
+            the attributes of `gri.Policy`.
         seed: replaces the scenario's seed.
         episodes: replaces the scenario's number of episodes.
         recording: the recording to replay, for scenarios with a recorded background.

@@ -28,7 +28,7 @@ from cosim.spec.scenario import AFTERMATH
 from cosim.world.counterparts import leader_deviation
 from cosim.world.episode import COLUMNS, Episode
 from cosim.world.hand_back_columns import hand_back_columns
-from cosim.world.outcome_columns import outcome_columns
+from cosim.world.outcome_columns import filter_columns, outcome_columns
 from cosim.world.safety import safety_measures, track_of_role
 from gri.core.edges import MOST_COMPLETE, EdgeType, pairs
 
@@ -100,6 +100,7 @@ def _group(number: int, episode: Episode, expected: Mapping[tuple[int, int], Edg
         "drive_duration": episode.end - episode.group.time,
         "ending": episode.ending.value,
         **outcome_columns(episode),
+        **filter_columns(episode),
         **_inferred_graph_columns(episode, expected),
         **safety_measures(episode),
         "mean_speed": float(episode.feature("v")[way][:, :-1].mean()),

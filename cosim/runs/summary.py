@@ -17,6 +17,11 @@ DRIVER_NAMES = {
     "supervised": "Supervised",
     "idm": "IDM",
     "constant_velocity": "constant velocity",
+    "r157": "R157",
+    "careful_human": "careful human",
+    "careful_human_wandering": "careful human (wandering)",
+    "fsm": "FSM",
+    "rss": "RSS",
     "sumo": "left to SUMO",
     "recorded": "as recorded",
 }

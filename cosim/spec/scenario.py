@@ -6,7 +6,7 @@ is the same specification for editors.
 """
 
 import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from msgspec import Meta, field
 
@@ -30,12 +30,21 @@ from cosim.spec.demand import (
 )
 from cosim.spec.group_roles import USUAL_SIZE, check_roles
 from cosim.spec.perturbations import CHANGES_DEMAND, Perturbation
+from cosim.spec.policies import R157 as R157
+from cosim.spec.policies import CarefulHuman as CarefulHuman
+from cosim.spec.policies import ConstantVelocity as ConstantVelocity
+from cosim.spec.policies import Driver, RssFilter, UserPolicy
+from cosim.spec.policies import Fsm as Fsm
+from cosim.spec.policies import Idm as Idm
+from cosim.spec.policies import LeftToSumo as LeftToSumo
+from cosim.spec.policies import ReferencePolicy as ReferencePolicy
+from cosim.spec.policies import Rss as Rss
+from cosim.spec.policies import TrainedPolicy as TrainedPolicy
 from cosim.spec.shares import check_shares
-from cosim.spec.sumo_models import SumoModel
+from cosim.spec.sumo_models import SumoModel as SumoModel
 from cosim.spec.work import Work, entering, refuse_too_much
 
 AFTERMATH = 10.0  # [s] after the hand-back of a group in which its contacts still count
-DECISION_LIMIT = 30.0  # [s] of real time for one decision of a policy of the user
 MAX_WORK = 1.0  # times the usual limits
 MOST_AT_ONCE = 5_000  # vehicles in the study area whose history is kept, at most
 Seed = Annotated[int, Meta(ge=0, lt=2**31)]  # SUMO's seeds have 31 bits
@@ -106,41 +115,6 @@ class Merge(Spec, frozen=True, kw_only=True, tag_field="rule", tag="merge"):
 GroupRule = CarFollowing | Merge
 
 
-class TrainedPolicy(Spec, frozen=True, kw_only=True, tag_field="kind", tag="gri"):
-    """A trained policy: the name of a released checkpoint, or the path of one."""
-
-    checkpoint: Place
-
-
-class Idm(Spec, frozen=True, kw_only=True, tag_field="kind", tag="idm"):
-    """The intelligent driver model. It sees `everybody` near, or its own `group` only."""
-
-    sees: Literal["everybody", "group"] = "everybody"
-
-
-class ConstantVelocity(Spec, frozen=True, kw_only=True, tag_field="kind", tag="constant_velocity"):
-    """Drives on with the speed at the take-over."""
-
-
-class LeftToSumo(Spec, frozen=True, kw_only=True, tag_field="kind", tag="sumo"):
-    """No take-over: SUMO drives the group (null run)."""
-
-
-class UserPolicy(Spec, frozen=True, kw_only=True, tag_field="kind", tag="python"):
-    """A policy of the user: `object` is "file.py:Name" or "package.module:Name".
-
-    This runs code: the file is imported when a run starts. Use only files that you trust. A file outside the folder of
-    the scenario or batch, and a module, need the option `--allow-code`.
-
-    The object is called with the time step dt [s] and the `settings`, and must return a `gri.core.policy.Policy`, which
-    may take `decision_limit` [s] for one decision. docs/tutorial.md has an example.
-    """
-
-    object: Annotated[str, Meta(pattern=r"^[^:]+:[A-Za-z_][A-Za-z0-9_]*$", max_length=1000)]
-    settings: dict[str, Any] = field(default_factory=dict)
-    decision_limit: Annotated[float, Meta(ge=0.01, le=3600)] = DECISION_LIMIT
-
-
 class SimulatedTraffic(Spec, frozen=True, kw_only=True, tag_field="kind", tag="sumo"):
     """SUMO simulates all other vehicles, as `traffic` describes them."""
 
@@ -196,7 +170,6 @@ class Enforced(Spec, frozen=True, kw_only=True, tag_field="source", tag="enforce
 
 
 GraphSource = Inferred | GroundTruth | Enforced
-Driver = TrainedPolicy | Idm | ConstantVelocity | LeftToSumo | UserPolicy | SumoModel
 
 
 class PolicyShare(Spec, frozen=True, kw_only=True):
@@ -219,7 +192,8 @@ def policy_name(choice: Driver) -> str:
 class Scenario(Spec, frozen=True, kw_only=True):
     """One closed-loop experiment. Durations in s; `traffic` may be the name or path of a traffic file.
 
-    The policy drives the roles in `driven`, by default all but the leader; SUMO drives the others. `graph` is the
+    The policy drives the roles in `driven`, by default all but the leader, within what the filter `safety` allows (by
+    default there is none); SUMO drives the others. `graph` is the
     source of the graph. It is inferred at the take-over, and again every `reinfer_s` from the latest states if this is
     not 0. A simulation step lasts `step`; the policy decides every `policy_period`, a multiple of it (0: in every step,
     or as often as it was trained to). The history before the take-over lasts `history`. The policy drives for up to
@@ -242,6 +216,7 @@ class Scenario(Spec, frozen=True, kw_only=True):
     policy: Driver
     graph: GraphSource = field(default_factory=Inferred)
     reinfer_s: Duration = 0.0
+    safety: RssFilter | None = None
     driven: Annotated[tuple[Role, ...], Meta(min_length=1, max_length=7)] | None = None
     perturbations: Annotated[tuple[Perturbation, ...], Meta(max_length=20)] = ()
     seed: Seed = 1

@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING
 
 from cosim.spec.perturbations import CHANGES_DEMAND
+from cosim.spec.policies import ReferencePolicy
 from cosim.spec.sumo_models import SumoModel
 
 if TYPE_CHECKING:
@@ -38,6 +39,11 @@ def check_shares(scenario: "Scenario", replayed: bool) -> None:
         raise ValueError(f"shares has {name!r}, which is the name of the policy of `share`; expected another name")
     if (total := sum(share for _, share in driven_shares(scenario).values())) > 1 + 1e-9:
         raise ValueError(f"the shares add up to {total:g}, expected at most 1")
+    for name, (choice, _) in driven_shares(scenario).items():
+        if isinstance(choice, ReferencePolicy):
+            raise ValueError(f"the share {name!r} has a reference driver, which drives groups; expected another policy")
+    if scenario.safety is not None:
+        raise ValueError("safety filters the policy of groups, but a share drives single vehicles; remove one of both")
     if replayed:
         raise ValueError("background replays a recording, but a share drives simulated traffic; remove one of both")
     for change in scenario.perturbations:

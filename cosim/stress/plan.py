@@ -20,13 +20,18 @@ from cosim.spec.loading import override
 from cosim.spec.perturbations import CHANGES_DEMAND, KINDS, RENAMED
 from cosim.spec.scenario import (
     AFTERMATH,
+    R157,
     USUAL_SIZE,
+    CarefulHuman,
     CarFollowing,
     ConstantVelocity,
     Driver,
+    Fsm,
     Idm,
     LeftToSumo,
     Replay,
+    Rss,
+    RssFilter,
     Scenario,
     TrainedPolicy,
 )
@@ -42,7 +47,17 @@ ONE_LANE_INTENSITIES = {"headway_ratio": (0.15, 0.3, 0.45, 0.6, 0.7)}  # default
 ALL = "all"  # in place of a kind of perturbation: all that make sense for the scenario
 LEVELS_OF_ALL = 2  # intensities of each kind, if all kinds are wanted
 REINFER = 1.0  # [s] between two inferences of the graph, if the scenario does not infer again
-BASELINES: dict[str, Driver] = {"idm": Idm(), "constant_velocity": ConstantVelocity(), "sumo": LeftToSumo()}
+BASELINES: dict[str, Driver] = {
+    "idm": Idm(),
+    "constant_velocity": ConstantVelocity(),
+    "r157": R157(),
+    "careful_human": CarefulHuman(),
+    "careful_human_wandering": CarefulHuman(variant="wandering"),
+    "fsm": Fsm(),
+    "rss": Rss(),
+    "sumo": LeftToSumo(),
+}
+FILTERED = "+rss"  # after the name of a policy: with the safety filter
 
 
 @dataclass(frozen=True)
@@ -208,12 +223,16 @@ def policies_of(names: Sequence[str], scenario: Scenario) -> dict[str, Driver]:
     """The policies by name: a baseline, a released checkpoint, or the path of a checkpoint.
 
     `gri` is the checkpoint C that the scenario names; another word W, such as `supervised`, is the checkpoint "C_W" if
-    there is one. Raises `InputError` for an unknown checkpoint or a name given twice.
+    there is one. A name with FILTERED at its end is the policy with the safety filter (`safety_of`). Raises
+    `InputError` for an unknown checkpoint or a name given twice.
     """
     found: dict[str, Driver] = {}
-    for name in names:
+    for whole in names:
+        name, filtered = whole.removesuffix(FILTERED), FILTERED * whole.endswith(FILTERED)
+        if filtered and name == "sumo":
+            raise InputError("--policy: got sumo+rss, but SUMO's own drivers have no filter; leave out +rss")
         if name in BASELINES:
-            found[name] = BASELINES[name]
+            found[name + filtered] = BASELINES[name]
             continue
         candidates = [name]
         if isinstance(scenario.policy, TrainedPolicy):
@@ -222,10 +241,15 @@ def policies_of(names: Sequence[str], scenario: Scenario) -> dict[str, Driver]:
         known = [candidate for candidate in candidates if _exists(candidate)]
         checkpoint = known[0] if known else name
         checkpoint_path(checkpoint, "--policy")  # raises if there is no such checkpoint
-        found[name.removesuffix(".safetensors").rpartition("/")[2]] = TrainedPolicy(checkpoint=checkpoint)
+        found[name.removesuffix(".safetensors").rpartition("/")[2] + filtered] = TrainedPolicy(checkpoint=checkpoint)
     if len(found) < len(names):
         raise InputError(f"--policy: got {', '.join(names)}, expected each policy once, by different names")
     return found
+
+
+def safety_of(name: str, scenario: Scenario) -> RssFilter | None:
+    """The safety filter of the policy of that name: the scenario's own, or the usual one with FILTERED in the name."""
+    return scenario.safety or (RssFilter() if name.endswith(FILTERED) else None)
 
 
 def _exists(checkpoint: str) -> bool:

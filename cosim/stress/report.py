@@ -12,6 +12,7 @@ from cosim.perturb.effects import KEY, pooled, shown_effects
 from cosim.spec.perturbations import KINDS
 from cosim.stress.estimates import CELL, MEASURES, TIME_CAP
 from cosim.stress.plan import NOMINAL, TRAFFIC_KINDS
+from cosim.stress.preventable import preventable_text
 from gri.table import markdown_table
 
 SHOWN = ("min_ttc", "max_drac", "min_gap", "jerk_95", "follower_braking")
@@ -51,6 +52,7 @@ def stress_report(
     clusters: str = "",
     decided: str = "",
     effects: pd.DataFrame | None = None,
+    preventable: pd.DataFrame | None = None,
 ) -> str:
     """The report of a stress test as Markdown; the tables are those of `cosim.stress.estimates`.
 
@@ -75,6 +77,7 @@ def stress_report(
         parts += [f"![{_alternative(kind)}](figures/{name}.png)\n" for name in _figures_of(kind, figures)]
         cells = counts[counts["perturbation"].isin(shown)]
         parts += [*filter(None, [_infeasible(cells)]), OUTCOME_HEADING, _outcome_table(cells, known)]
+        parts += [] if preventable is None else [*filter(None, [preventable_text(preventable, shown)])]
         parts += [SAFETY_HEADING, _safety_table(cells, known)]
         if len(differences):
             first = str(differences["against"].iloc[0])
@@ -106,12 +109,15 @@ def _unit(unit: str) -> str:
 def _outcome_table(rows: pd.DataFrame, known: Known) -> str:
     """The three facts over all feasible starts, who broke up groups, and who ran into whom."""
     facts = [_BY_NAME[name] for name in ("completed_without_contact", "contact", "order_kept")]
+    filtered = rows["filter"].ne("").any()
     head = ["intensity", "policy", "starts", *map(_title, facts), "broken up by", "contacts"]
+    head += ["filter: along, across, hardest"] if filtered else []
     lines = [
         [
             *(_intensity(row), row["policy"], str(row["starts"] - row["infeasible"])),
             *(_value(known.get((*_key(row), fact.name)), fact) for fact in facts),
             *(row["broken_up"] or "-", row["hits"] or "-"),
+            *([row["filter"] or "-"] if filtered else []),
         ]
         for _, row in rows.iterrows()
     ]

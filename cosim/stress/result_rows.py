@@ -12,7 +12,7 @@ from cosim.measures.surrogate_safety import Track
 from cosim.world.break_ups import do_the_same
 from cosim.world.episode import INTERRUPTED, BrokenUpBy, Episode, LaneEntry
 from cosim.world.groups import SAME_LANE
-from cosim.world.outcome_columns import outcome_columns
+from cosim.world.outcome_columns import filter_columns, outcome_columns
 from cosim.world.safety import safety_measures, track_of_role
 from cosim.world.snapshot import Snapshot
 
@@ -43,6 +43,7 @@ def result_row(
         "ending": episode.ending.value,
         "counted": episode.ending not in INTERRUPTED,
         **outcome_columns(episode),
+        **filter_columns(episode),
         "intruders": _written(episode.intruders),
         "lane_entries": _written(episode.lane_entries),
         "drive_duration": episode.end - episode.group.time,

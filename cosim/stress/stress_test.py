@@ -23,6 +23,7 @@ from cosim.spec.scenario import Merge, Scenario, TrainedPolicy
 from cosim.stress import estimates, figures
 from cosim.stress.parts import FIX, is_finished, read_part
 from cosim.stress.plan import NOMINAL, PACKAGES, Chunk
+from cosim.stress.preventable import preventable
 from cosim.stress.report import stress_report
 from cosim.stress.result_rows import compared_with_sumo
 from cosim.world.outcome_columns import with_outcome_columns
@@ -160,6 +161,7 @@ def write_results(
         "estimates": estimates.estimates(rows),
         "differences": estimates.differences(rows),
         **({} if effects is None else {"effects": effects}),
+        **({"preventable": prevented} if len(prevented := preventable(rows)) else {}),
     }
     for name, table in {"episodes": rows, **tables}.items():
         with whole_file(folder / f"{name}.parquet") as file:
@@ -172,7 +174,9 @@ def write_results(
     drawn = sorted((folder / "figures").glob("*.[ps][nv]g"))
     title = f"Stress test: {scenario.description or scenario.net}"
     shown = (tables["counts"], tables["estimates"], tables["differences"])
-    text = stress_report(title, *shown, kinds, {path.stem for path in drawn}, cluster_note(rows), decided, effects)
+    text = stress_report(
+        title, *shown, kinds, {path.stem for path in drawn}, cluster_note(rows), decided, effects, prevented
+    )
     report = folder / "stress.md"
     write_whole(report, text)
     return [report, folder / "episodes.parquet", *(folder / f"{name}.parquet" for name in tables), *drawn]

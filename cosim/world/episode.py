@@ -75,6 +75,19 @@ class LaneEntry:
 
 
 @dataclass(frozen=True)
+class FilterUse:
+    """How the safety filter changed the actions of the driven vehicles during a drive.
+
+    `along` and `across` are shares of all steps of driven vehicles: with an acceleration reduced by more than 0.05
+    m/s², and with lateral motion stopped. `hardest` [m/s²] is the greatest reduction.
+    """
+
+    along: float
+    across: float
+    hardest: float
+
+
+@dataclass(frozen=True)
 class Outcome:
     """What a drive came to, in three facts.
 
@@ -125,7 +138,7 @@ class Episode:
     all members, `lane_entries` are lane changes of outsiders until AFTERMATH after the hand-back, `intruders` those of
     them that ended the drive as cut_in. `broken_up_by` is final after the comparison with the counterpart
     (`cosim.world.break_ups.compared`). `surroundings` are the vehicles around the group from the
-    take-over to AFTERMATH after the hand-back.
+    take-over to AFTERMATH after the hand-back. `filter_use` is missing without a safety filter.
     """
 
     driver: str
@@ -148,6 +161,7 @@ class Episode:
     intruders: tuple[LaneEntry, ...] = ()
     broken_up_by: BrokenUpBy = BrokenUpBy.NOBODY
     surroundings: Surroundings | None = None
+    filter_use: FilterUse | None = None
 
     def feature(self, name: str) -> Float[np.ndarray, "T N"]:
         """One of COLUMNS."""

@@ -32,6 +32,16 @@ def outcome_columns(episode: Episode) -> dict[str, Any]:
     }
 
 
+def filter_columns(episode: Episode) -> dict[str, float]:
+    """How often and how hard the safety filter intervened; missing without a filter."""
+    use, missing = episode.filter_use, float("nan")
+    return {
+        "filter_along": missing if use is None else use.along,
+        "filter_across": missing if use is None else use.across,
+        "filter_hardest": missing if use is None else use.hardest,
+    }
+
+
 def with_outcome_columns(table: pd.DataFrame) -> pd.DataFrame:
     """A table with the outcome columns; one of version 0.1, which has `success`, gets them from what it knows.
 

@@ -26,7 +26,14 @@ CHAIN = {(1, 0): EdgeType.FOLLOW, (2, 1): EdgeType.FOLLOW}
 RENAMED = {"taken_at": "takeover_time", "driven_for": "drive_duration"}  # since the released tables were made
 NEW = ("intruders", "lane_entries")  # columns of stress tests that no released table has
 TO_OTHERS = ("min_gap", "min_ttc", "max_drac", "min_pet", "min_distance")
-ADDED = ("min_distance", "brakings_2", "brakings_3", *(f"{name}_to_others" for name in TO_OTHERS))  # since then
+FILTER = ("filter_along", "filter_across", "filter_hardest")
+ADDED = (
+    *FILTER,
+    "min_distance",
+    "brakings_2",
+    "brakings_3",
+    *(f"{name}_to_others" for name in TO_OTHERS),
+)  # since then
 
 
 def named(before: str) -> list[str]:
