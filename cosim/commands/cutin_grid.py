@@ -23,7 +23,7 @@ def cutin_grid(
         typer.Option(
             help="Drivers, separated by commas: r157, careful_human, careful_human_wandering, fsm, rss, idm,"
             " constant_velocity, gri (the scenario's checkpoint), names and paths of checkpoints (with +given: under"
-            " the graph that the scene implies), or FILE.py:Name."
+            " the graph that the scene implies), or file.py:Name."
         ),
     ] = "r157,careful_human,fsm,rss,idm",
     grid: Annotated[

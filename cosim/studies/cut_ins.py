@@ -49,7 +49,7 @@ class GridResult:
 
 
 def driver_named(name: str, gri_checkpoint: str) -> Drive:
-    """A reference driver, `idm`, `constant_velocity`, a checkpoint, `gri` (`gri_checkpoint`), or "FILE.py:Name".
+    """A reference driver, `idm`, `constant_velocity`, a checkpoint, `gri` (`gri_checkpoint`), or "file.py:Name".
 
     Raises:
         InputError: there is no such policy, or it cannot drive in the grid.
