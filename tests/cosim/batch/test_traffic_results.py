@@ -8,23 +8,36 @@ import pytest
 
 from cosim.batch.store import BatchStore
 from cosim.batch.traffic_results import NOBODY, estimate, has_traffic, traffic_rows, traffic_table
+from cosim.runs.finished_run import write_manifest
 from cosim.runs.share_summary import FIGURES
 from cosim.show.penetration_curves import penetration_picture
 from gri.errors import InputError
+from gri.storage.verification import digest
 
 
 @pytest.fixture
 def store(tmp_path: Path) -> BatchStore:
     """Two policies at two shares, nobody at a third, three seeds each; the flow is 1000 · share + seed."""
+    store, ids = BatchStore(tmp_path), []
     for policy, share in (("gri", 0.0), ("gri", 0.5), ("gri", 1.0), ("acc", 0.5), ("acc", 1.0)):
         for seed in (1, 2, 3):
             figures = {figure.name: 1.0 for figure in FIGURES} | {"flow": 1000 * share + seed, "capacity_drop": np.nan}
             cell = {"scenario": "s", "policy": policy, "variant": f"{share}", "seed": seed, "share": share}
             rows = [cell | {"driver": "all"} | figures, cell | {"driver": policy} | figures | {"flow": 7.0}]
-            part = tmp_path / "traffic" / f"run=r{policy}{share}{seed}"
-            part.mkdir(parents=True)
-            pd.DataFrame(rows).to_parquet(part / "part.parquet")
-    return BatchStore(tmp_path)
+            ids.append(f"r{policy}{share}{seed}")
+            finish(store, ids[-1], pd.DataFrame(rows))
+    store.write_manifest({"runs": [{"run": run} for run in ids]})
+    return store
+
+
+def finish(store: BatchStore, run: str, traffic: pd.DataFrame) -> None:
+    """A finished run whose only table is `traffic`."""
+    partial = store.attempt_folder(run, 0)
+    partial.mkdir(parents=True)
+    (store.folder / "failures").mkdir(exist_ok=True)
+    traffic.to_parquet(partial / "traffic.parquet")
+    write_manifest(partial, {"arguments": {}, "results": {"traffic.parquet": digest(partial / "traffic.parquet")}})
+    store.finish(run, partial)
 
 
 def test_runs_are_values_and_seeds_are_independent(store: BatchStore) -> None:
