@@ -413,7 +413,6 @@ def _layouts() -> tuple[bytes, ...]:
             layout_files.tgsim,
             layout_files.interaction,
             layout_files.i24,
-            layout_files.highd,
         )
         return tuple(write(traffic, Path(folder, str(k))).read_bytes() for k, write in enumerate(writers))
 

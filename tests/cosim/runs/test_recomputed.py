@@ -62,7 +62,7 @@ def drives(folder: Path) -> list[Drive]:
                 table[(table["episode"] == row["episode"]) & (table["counterpart"] == counterpart)]
                 for table in (steps, around)
             ]
-            found.append(Drive(row, *own, scenario, tuple(scenario["driven"])))
+            found.append(Drive(row, *own, scenario, tuple(scenario["driven"] or (0, 1))))
     return found
 
 

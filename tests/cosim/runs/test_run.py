@@ -135,7 +135,7 @@ def test_policies_have_short_names(given, expected):
 
 
 def test_an_unknown_policy_says_what_there_is():
-    with pytest.raises(InputError, match="got 'imd', expected one of sumo, idm, constant_velocity, a checkpoint"):
+    with pytest.raises(InputError, match="got 'imd', expected one of sumo, idm, constant_velocity, r157"):
         cosim.run("us101_car_following", "imd")
 
 

@@ -64,7 +64,10 @@ MERGE = {"rule": "merge", "lane": "weave_0", "zone": [187.0, 350.0]}
     ("changes", "message"),
     [
         ({"policy": {"kind": "gri", "checkpoint": "nobody"}}, r"no checkpoint 'nobody': .*us101_car_following"),
-        ({"step": 0.1}, r"step: got 0.1 s, the policy acts every 0.2 s"),
+        (
+            {"step": 0.25},
+            r"step: got 0.25 s, the policy acts every 0.2 s; set step to",
+        ),
         ({"history": 1.0}, r"history: got 1 s, the policy wants \d+ states; set history to at least"),
         ({"group": MERGE}, r"got the edge vocabulary \(none, follow\), the group rule 'merge' wants \(none, follow, y"),
     ],

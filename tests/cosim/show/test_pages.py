@@ -145,6 +145,7 @@ def groups() -> pd.DataFrame:
     for k in range(24):
         rows.append(
             {
+                "vehicle_0": "a", "vehicle_1": "b", "vehicle_2": "c",
                 "run": f"r{k}", "scenario": "s", "seed": k // 2, "takeover_time": 10.0, "broken_up_by": "",
                 "policy": ("gri", "idm")[k % 2], "perturbation": "braking", "intensity": float(k % 3),
                 "driver": "gri", "ending": "contact" if k == 5 else "horizon", "contact": k == 5,

@@ -51,7 +51,7 @@ def play(monkeypatch, short_scenario):
             STARTS_PER_SEED,
         )
 
-        def run(parts, folder, workers, tell):
+        def run(parts, folder, workers, tell, warn=None):
             seeds = [chunk.scenario.seed for chunk in parts]
             tell("starts", 2 * len(seeds), 2 * len(seeds))
             return rows_of(seeds, good), Computation(0.0, [], pd.DataFrame())

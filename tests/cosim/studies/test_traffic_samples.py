@@ -6,7 +6,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from cosim.runs.finished_run import write_manifest
 from cosim.runs.run_reading import NEEDED, TABLES
+from cosim.runs.run_tables import manifest
 from cosim.studies.traffic_samples import COLUMNS, recorded_samples, run_samples, with_headways
 from gri.errors import InputError
 from tests.gri.data.recordings import layout_files
@@ -97,10 +99,12 @@ def test_a_run_gives_the_driven_vehicles_once_a_second(tmp_path):
         for role in range(3)
     ]
     names = ["driver", "time", "role", "vehicle", "present", "during_drive", "v", "a", "gap"]
-    steps = pd.DataFrame(rows, columns=names).assign(episode=0, driven=True, s=0.0, d=0.0)
+    steps = pd.DataFrame(rows, columns=names).assign(episode=0, driven=True, counterpart=False, s=0.0, d=0.0)
     steps.to_parquet(tmp_path / "steps.parquet")
     for other in set(TABLES) - {"steps"}:
         pd.DataFrame(columns=list(NEEDED.get(other, ("x",)))).to_parquet(tmp_path / f"{other}.parquet")
+    (tmp_path / "scenario.json").write_text("{}")
+    write_manifest(tmp_path, manifest({}, {}, tmp_path))
     found = run_samples(tmp_path)
     assert found.groupby("driver")["time"].unique().map(list).tolist() == [[601.0, 602.0]] * 2
     assert set(found["vehicle"]) == {"v0", "v1"}

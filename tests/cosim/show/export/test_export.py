@@ -8,7 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from cosim.runs.finished_run import write_manifest
 from cosim.runs.run_reading import NEEDED, TABLES
+from cosim.runs.run_tables import manifest
 from cosim.show.export.commonroad import write_commonroad
 from cosim.show.export.fcd import fcd, vehicle_types
 from cosim.show.export.moving_vehicles import MovingVehicles, vehicles_of
@@ -104,6 +106,7 @@ def test_vehicles_of_a_run_folder(tables, tmp_path: Path):
         missing = [column for column in NEEDED.get(name, ()) if column not in table]
         table.assign(**dict.fromkeys(missing, 0.0)).to_parquet(tmp_path / f"{name}.parquet")
     (tmp_path / "scenario.json").write_bytes(msgspec.json.encode(load_scenario("us101_car_following")))
+    write_manifest(tmp_path, manifest({}, {}, tmp_path))
     moving = vehicles_of(tmp_path, 0)
     assert moving.rows["vehicle"].nunique() == 3
     left = vehicles_of(tmp_path, 0, counterpart=True)

@@ -1,0 +1,64 @@
+"""Make the page of outcomes from stress tests: `python docs/tools/outcomes.py NAME=FOLDER[,FOLDER…] …`.
+
+Rows of a later folder replace those of the same policy in an earlier one, so a policy can be measured again alone.
+"""
+
+import sys
+from pathlib import Path
+
+import pandas as pd
+
+from gri.table import markdown_table
+
+PAGE = Path(__file__).parents[1] / "results" / "outcomes"
+FACTS = ("completed_without_contact", "contact", "order_kept")
+POLICIES = {
+    "gri": "GRI",
+    "supervised": "given the graph",
+    "nri": "NRI",
+    "idm": "IDM",
+    "sumo": "SUMO",
+    "constant_velocity": "constant velocity",
+}
+
+
+def estimates_of(folders: list[Path]) -> pd.DataFrame:
+    """The three facts per cell and policy; of several folders with a policy, the last one's."""
+    parts = [pd.read_parquet(folder / "estimates.parquet").assign(folder=k) for k, folder in enumerate(folders)]
+    found = pd.concat(parts)
+    latest = found.groupby("policy")["folder"].transform("max")
+    found = found[(found["folder"] == latest) & found["measure"].isin(FACTS)]
+    return found[["perturbation", "intensity", "policy", "measure", "value", "low", "high", "most", "n"]]
+
+
+def table_of(estimates: pd.DataFrame) -> str:
+    """One line per cell; each policy with its share completed without contact, and with a contact [%]."""
+    policies = [policy for policy in POLICIES if policy in set(estimates["policy"])]
+    value = estimates.set_index(["perturbation", "intensity", "policy", "measure"])["value"]
+    cells = estimates[["perturbation", "intensity"]].drop_duplicates()
+    cells = cells.sort_values(
+        ["perturbation", "intensity"], key=lambda of: of if of.name == "intensity" else of != "nominal"
+    )
+    lines = []
+    for perturbation, intensity in cells.itertuples(index=False):
+        known = value.xs(perturbation, level="perturbation")
+        known = known[known.index.get_level_values("intensity").isin([intensity])].droplevel("intensity")
+        name = perturbation if pd.isna(intensity) else f"{perturbation} {intensity:g}"
+        facts = [[100 * known[policy, fact] for fact in FACTS[:2]] for policy in policies]
+        lines.append([name, *(f"{done:.0f}, {contact:.0f}" for done, contact in facts)])
+    return markdown_table(["perturbation", *(POLICIES[policy] for policy in policies)], lines)
+
+
+def main() -> None:
+    """Write one CSV and one table per scenario."""
+    parts = []
+    for argument in sys.argv[1:]:
+        name, _, folders = argument.partition("=")
+        found = estimates_of([Path(folder) for folder in folders.split(",")])
+        found.to_csv(PAGE / f"{name}.csv", index=False, float_format="%.4g")
+        parts.append(f"## {name}\n\n[All three facts with intervals]({name}.csv).\n\n{table_of(found)}")
+    (PAGE / "tables.md").write_text("# Outcomes, 20 starts a cell: tables\n\n" + "\n".join(parts), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
