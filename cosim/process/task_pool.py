@@ -109,7 +109,8 @@ class Worker:
         if answer is None:
             return None
         self.task = None
-        if not CAN_FORK:
+        # A worker whose prepared process died is about to end; another task must not be given to it.
+        if not CAN_FORK or (answer.kind == "died" and self.key):
             self.end()
         lines = "" if answer.kind == "done" else last_lines(answer.folder / LOG)
         message = f"{answer.message}; last lines of its log: {lines}" if lines else answer.message

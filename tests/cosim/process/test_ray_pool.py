@@ -31,7 +31,7 @@ def ray(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
         shutdown=lambda: None,
         cluster_resources=lambda: {"CPU": 1},
         remote=lambda **_: lambda function: SimpleNamespace(remote=lambda *arguments: call(function, arguments)),
-        wait=lambda waiting, num_returns: (waiting[:num_returns], waiting[num_returns:]),
+        wait=lambda waiting, num_returns, timeout: (waiting[:num_returns], waiting[num_returns:]),
         get=get,
         exceptions=SimpleNamespace(RayError=RayError),
     )
