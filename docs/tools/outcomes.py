@@ -35,16 +35,14 @@ def table_of(estimates: pd.DataFrame) -> str:
     """One line per cell; each policy with its share completed without contact, and with a contact [%]."""
     policies = [policy for policy in POLICIES if policy in set(estimates["policy"])]
     value = estimates.set_index(["perturbation", "intensity", "policy", "measure"])["value"]
-    cells = estimates[["perturbation", "intensity"]].drop_duplicates()
-    cells = cells.sort_values(
-        ["perturbation", "intensity"], key=lambda of: of if of.name == "intensity" else of != "nominal"
-    )
+    known = estimates[["perturbation", "intensity"]].drop_duplicates().itertuples(index=False)
+    cells = sorted(((str(name), float(x)) for name, x in known), key=lambda cell: (cell[0] != "nominal", *cell))
     lines = []
-    for perturbation, intensity in cells.itertuples(index=False):
-        known = value.xs(perturbation, level="perturbation")
-        known = known[known.index.get_level_values("intensity").isin([intensity])].droplevel("intensity")
+    for perturbation, intensity in cells:
+        of_kind = value.xs(perturbation, level="perturbation")
+        found = of_kind[of_kind.index.get_level_values("intensity").isin([intensity])].droplevel("intensity")
         name = perturbation if pd.isna(intensity) else f"{perturbation} {intensity:g}"
-        facts = [[100 * known[policy, fact] for fact in FACTS[:2]] for policy in policies]
+        facts = [[100 * found[policy, fact] for fact in FACTS[:2]] for policy in policies]
         lines.append([name, *(f"{done:.0f}, {contact:.0f}" for done, contact in facts)])
     return markdown_table(["perturbation", *(POLICIES[policy] for policy in policies)], lines)
 
