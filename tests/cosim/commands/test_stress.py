@@ -33,7 +33,7 @@ def test_a_stress_test_ends_with_tables_and_figures_and_goes_on_where_it_stopped
     assert done.returncode == 0, done.stderr
     names = {path.name for path in (folder / "out").iterdir()}
     assert names == {
-        "chunks", "figures", "stress.md", "stress.json",
+        "chunks", "figures", "stress.md", "stress.html", "stress.json",
         "episodes.parquet", "counts.parquet", "estimates.parquet", "differences.parquet", "effects.parquet",
         "counts.csv", "estimates.csv", "differences.csv", "effects.csv",
     }  # fmt: skip

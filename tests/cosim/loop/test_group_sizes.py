@@ -55,8 +55,8 @@ def test_groups_of_other_sizes_are_perturbed(size: int, short_scenario, simulate
     scenario = of_size(short_scenario, size, perturbations=perturbations, reinfer_s=1.0)
     outcome = simulate(scenario, Driver("gri", gri.load("us101_car_following"), reinfer=5))
     assert outcome.episodes
-    assert {effect.kind for effect in outcome.effects} == {"leader_braking", "dropout", "perception_latency"}
-    braking = [e for e in outcome.effects if e.kind == "leader_braking"]
+    assert {effect.perturbation for effect in outcome.effects} == {"leader_braking", "dropout", "perception_latency"}
+    braking = [e for e in outcome.effects if e.perturbation == "leader_braking"]
     assert all(e.measured == pytest.approx(3.0, abs=0.1) for e in braking)
     assert graphs_table(outcome.episodes)["time"].nunique() >= 2
 

@@ -44,7 +44,11 @@ def test_a_data_set_is_one_file_and_a_report(scenario: Path, tmp_path: Path):
     assert begins["scene"].tolist() == list(range(12))
     assert (begins.groupby("recording", observed=True)["split"].nunique() == 1).all()
     assert set(begins["source"]) == {"short"}
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["report.json", "scenes.parquet"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [
+        "report.json",
+        "scenes.parquet",
+        "scenes.parquet.sha256",
+    ]
     report = json.loads((tmp_path / "out/report.json").read_text())
     assert report["kinds"]["merge"]["scenes"] >= 6
     assert report["cost"]["peak_mb"] > 50
