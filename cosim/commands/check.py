@@ -2,6 +2,7 @@
 
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from textwrap import fill
 
 import typer
 
@@ -26,12 +27,17 @@ def check(scenario: ScenarioArgument, allow_code: AllowCodeOption = False) -> No
     loaded = load_scenario(scenario)
     refuse_foreign_code(msgspec.to_builtins(loaded.policy), find_file(scenario, "scenarios", "scenario"), allow_code)
     files = input_files(loaded)
-    say(f"ok      files: {', '.join(path.name for path in files.values())}")
+    say(_told("ok", f"files: {', '.join(path.name for path in files.values())}"))
     with TemporaryDirectory() as scratch, ProgressDisplay() as progress:
         log = Path(scratch, "sumo.log")
         findings = run_in_worker("cosim.proposals.check:check_scenario", loaded, log=log, tell=progress)
     for finding in findings:
-        say(f"{finding.verdict.value:<7} {finding.text}")
+        say(_told(finding.verdict.value, finding.text))
     if any(finding.verdict is Verdict.ERROR for finding in findings):
         raise typer.Exit(2)
     next_command(f"cosim run {scenario}")
+
+
+def _told(verdict: str, text: str) -> str:
+    """A finding in lines of at most 80 columns."""
+    return fill(f"{verdict:<7} {text}", 80, subsequent_indent=" " * 8, break_long_words=False)
