@@ -1,10 +1,8 @@
 """What fits and what does not, before a scenario runs: one finding per part of it."""
 
-import tempfile
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
-from pathlib import Path
 
 import numpy as np
 
@@ -13,7 +11,8 @@ from cosim.spec.input_files import find_net
 from cosim.spec.scenario import Merge, Scenario, UserPolicy, policy_name
 from cosim.sumo import SumoError
 from cosim.traffic.running_simulation import RunningSimulation, simulation
-from cosim.traffic.simulation_input import SumoFiles, prepare_simulation
+from cosim.traffic.scratch_files import scratch_files
+from cosim.traffic.simulation_input import prepare_simulation
 from gri.errors import InputError
 
 LOOK = 60.0  # [s] of traffic that is simulated at most
@@ -41,8 +40,7 @@ class Finding:
 def check_scenario(scenario: Scenario, tell: Tell) -> list[Finding]:
     """Start SUMO with a scenario, simulate a minute at most, and tell what fits. Runs in a worker process."""
     findings = [_policy(scenario)]
-    with tempfile.TemporaryDirectory() as scratch:
-        files = SumoFiles(find_net(scenario.net), Path(scratch, "routes.rou.xml"), Path(scratch, "sumo.log"))
+    with scratch_files(find_net(scenario.net)) as files:
         try:
             inputs = prepare_simulation(scenario, files, LOOK)
             inputs.write()

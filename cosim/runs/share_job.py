@@ -3,7 +3,6 @@
 See `cosim.runs.traffic_run` for the door to it.
 """
 
-import tempfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -23,9 +22,9 @@ from cosim.spec.input_files import input_files
 from cosim.spec.scenario import Scenario
 from cosim.spec.shares import driven_shares
 from cosim.spec.sumo_models import SumoModel
-from cosim.sumo import SumoError
 from cosim.traffic.driver_model_types import with_model_types
-from cosim.traffic.simulation_input import SumoFiles, prepare_simulation
+from cosim.traffic.scratch_files import scratch_files
+from cosim.traffic.simulation_input import prepare_simulation
 from gri.errors import InputError
 
 
@@ -47,14 +46,10 @@ def run_share_job(
     torch.set_num_threads(1)  # the models are tiny: more threads are slower
     shares, plans, inputs = driven_shares(scenario), share_plans(scenario), input_files(scenario)
     models = {name: plan.drives for name, plan in plans.items() if isinstance(plan.drives, SumoModel) and plan.share}
-    with tempfile.TemporaryDirectory() as scratch:
-        files = SumoFiles(inputs["net"], Path(scratch, "routes.rou.xml"), folder / "sumo.log")
-        try:
-            prepared = with_model_types(prepare_simulation(scenario, files, scenario.time_limit), models)
-            prepared.write()
-            outcome = drive_shares(prepared, plans, tell)
-        except SumoError as error:
-            raise InputError(f"SUMO refused the scenario: {error}") from error
+    with scratch_files(inputs["net"], folder, folder / "sumo.log") as files:
+        prepared = with_model_types(prepare_simulation(scenario, files, scenario.time_limit), models)
+        prepared.write()
+        outcome = drive_shares(prepared, plans, tell)
     if not len(outcome.recording.samples):
         raise InputError(
             f"traffic: no vehicle was in the study area within {scenario.time_limit:g} s after the warm-up; raise"
