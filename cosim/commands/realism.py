@@ -152,6 +152,7 @@ def _score(subject: str, sought: _Score, folder: Path, table_format: FormatOptio
         assert recorded is not None
         if sought.lanes:
             recorded = recorded[recorded["lane"].isin(sought.lanes)]
+            other = None if other is None else other[other["lane"].isin(sought.lanes)]
         with ProgressDisplay() as progress:
             found = [survey_of(variant, sought.duration, progress, f"seed {variant.seed}") for variant in variants]
         samples = [one.samples for one in found]

@@ -14,7 +14,14 @@ from matplotlib.figure import Figure
 
 from cosim.studies.observation_windows import seen_through, windows_of
 from cosim.studies.traffic_samples import with_headways
-from cosim.studies.traffic_score import STATISTICS, TrafficScore, traffic_score, with_interactions
+from cosim.studies.traffic_score import (
+    STATISTICS,
+    TrafficScore,
+    constant_traffic,
+    seed_interval,
+    traffic_score,
+    with_interactions,
+)
 from gri.errors import InputError
 from gri.table import Table
 
@@ -47,15 +54,18 @@ def write_score(
     ours, theirs = (with_interactions(with_headways(t.assign(source=t["window"]))) for t in (seen, tested))
     rest = None if other is None else with_interactions(with_headways(windows_of(other)[1]))
     score = traffic_score(ours, theirs, rest)
-    records = _records(score)
+    constant = traffic_score(constant_traffic(theirs, theirs if rest is None else rest), theirs, rest)
+    records = _records(score, constant)
     pd.DataFrame(records).to_csv(folder / "score.csv", index=False, float_format="%.5g")
-    total = {"score": score.total, "ceiling": score.ceiling, "windows": len(windows), "views": views}
+    total = {"score": score.total, "constant": constant.total, "ceiling": score.ceiling}
+    total |= {"windows": len(windows), "views": views}
     (folder / "score.json").write_text(json.dumps({**total, "quantities": records}, indent=1) + "\n")
     draw_space_time(ours, theirs, folder / "space_time.png")
-    return _tables(score, len(windows))
+    return _tables(score, constant, records, len(windows))
 
 
-def _records(score: TrafficScore) -> list[dict[str, Any]]:
+def _records(score: TrafficScore, constant: TrafficScore) -> list[dict[str, Any]]:
+    """A row for each quantity, for the files."""
     likelihoods = [
         {
             "kind": "likelihood",
@@ -64,9 +74,14 @@ def _records(score: TrafficScore) -> list[dict[str, Any]]:
             "simulated": s.share,
             "lowest_seed": min(s.by_seed),
             "highest_seed": max(s.by_seed),
+            "seeds_low": seed_interval(s.by_seed)[0],
+            "seeds_high": seed_interval(s.by_seed)[1],
+            "constant": c.share,
+            "uniform": s.uniform,
             "recorded": s.ceiling,
+            "of_ceiling": s.of_ceiling,
         }
-        for s in score.features
+        for s, c in zip(score.features, constant.features, strict=True)
     ]
     return likelihoods + [
         {
@@ -76,27 +91,35 @@ def _records(score: TrafficScore) -> list[dict[str, Any]]:
             "simulated": s.simulated,
             "lowest_seed": min(s.by_seed),
             "highest_seed": max(s.by_seed),
+            "seeds_low": seed_interval(s.by_seed)[0],
+            "seeds_high": seed_interval(s.by_seed)[1],
+            "constant": c.simulated,
             "recorded": s.recorded,
             "recorded_low": s.low,
             "recorded_high": s.high,
             "inside": s.inside,
         }
-        for s in score.statistics
+        for s, c in zip(score.statistics, constant.statistics, strict=True)
     ]
 
 
-def _tables(score: TrafficScore, windows: int) -> list[Table]:
-    rows = _records(score)
+def _tables(score: TrafficScore, constant: TrafficScore, rows: Sequence[dict[str, Any]], windows: int) -> list[Table]:
     likelihoods = [
         (
             s.feature.label,
             f"{100 * s.share:.1f}",
             f"{100 * min(s.by_seed):.1f}–{100 * max(s.by_seed):.1f}",
+            f"{100 * c.share:.1f}",
+            f"{100 * s.uniform:.1f}",
             f"{100 * s.ceiling:.1f}",
+            "?" if np.isnan(s.of_ceiling) else f"{100 * s.of_ceiling:.0f}",
         )
-        for s in score.features
+        for s, c in zip(score.features, constant.features, strict=True)
     ]
-    likelihoods.append(("weighted score", f"{100 * score.total:.1f}", "", f"{100 * score.ceiling:.1f}"))
+    totals = [f"{100 * one:.1f}" for one in (score.total, constant.total, score.ceiling)]
+    likelihoods.append(
+        ("weighted score", totals[0], "", totals[1], "", totals[2], f"{100 * score.total / score.ceiling:.0f}")
+    )
     statistics = [
         (
             STATISTICS[s.name][0],
@@ -110,12 +133,13 @@ def _tables(score: TrafficScore, windows: int) -> list[Table]:
     return [
         Table(
             "likelihoods",
-            ("quantity", "simulated", "per seed", "other part"),
+            ("quantity", "simulated", "per seed", "constant", "uniform", "other part", "of it"),
             likelihoods,
             [row for row in rows if row["kind"] == "likelihood"],
             title="Share of the recording's own likelihood [%]",
-            note="Other part: what another part of the recording reaches, the ceiling. The score has the three"
-            " quantities of whole windows with a weight in it as well (docs/realism.md).",
+            note="Constant: every vehicle at the means of the recording. Uniform: all values alike. Other part: what"
+            " another part of the recording reaches, the ceiling; of it: the simulated share in relation to that, in"
+            " %. The score has the three quantities of whole windows with a weight in it as well (docs/realism.md).",
             labels=1,
         ),
         Table(

@@ -4,22 +4,24 @@ After the metric of the Waymo Sim Agents challenge (Montali et al., 2023), for f
 made of the simulated samples, and the likelihood that it gives to each recorded sample is averaged in the logarithm. It
 is told as a share of the likelihood that the recording's own histogram gives: 1 means that both are equal. The ceiling
 is the share that another part of the recording reaches. What histograms of single samples cannot see is told beside:
-spread within lanes and vehicles, lane changes, standing traffic, and how long speeds last.
+spread within lanes and vehicles, lane changes, standing traffic, how long speeds last, and how fast waves travel.
+
+Two rows need no simulation. `constant_traffic` has every vehicle at the mean of the recording; `uniform` is a histogram
+with the same probability in all bins. A simulation that does not beat them is worth nothing.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
+from scipy.stats import t
+
+from cosim.studies.wave_speed import wave_speed
+from cosim.studies.window_statistics import LAGS, SUMS
 
 PSEUDO_COUNT = 0.1  # samples added to each bin, so that no recorded sample has the probability 0
-STANDING = 1.0  # [m/s]
-SLOW = 3.0  # [m/s]
-SHORT_HEADWAY = 1.0  # [s]
 RESAMPLES = 500
-LAGS = (10, 20, 45)  # [s]
 
 
 @dataclass(frozen=True)
@@ -54,18 +56,28 @@ STATISTICS: dict[str, tuple[str, float]] = {
     "slow_leftmost": ("leftmost lane < 3 m/s [%]", 0.05),
     "lane_changes": ("lane changes per vehicle-km", 0.05),
     **{f"autocorrelation_{lag}": (f"lane speed, correlation over {lag} s", 0.0) for lag in LAGS},
+    "wave_speed": ("waves travel upstream at [km/h]", 0.0),
 }
 """Quantities of whole windows, each with its label and its weight in the score."""
 
 
 @dataclass(frozen=True)
 class FeatureScore:
-    """Shares of the recording's own likelihood: of all simulations, of each, and of another part of the recording."""
+    """Shares of the recording's own likelihood: of all simulations, of each, and of another part of the recording.
+
+    `uniform` is the share of a histogram with the same probability in all bins.
+    """
 
     feature: Feature
     share: float
     by_seed: tuple[float, ...]
     ceiling: float
+    uniform: float
+
+    @property
+    def of_ceiling(self) -> float:
+        """The share in relation to that of another part of the recording; above 1 where the parts differ much."""
+        return self.share / self.ceiling if self.ceiling > 0 else np.nan
 
 
 @dataclass(frozen=True)
@@ -104,11 +116,12 @@ class TrafficScore:
 
 
 def with_interactions(samples: pd.DataFrame) -> pd.DataFrame:
-    """The samples (once per second, with `headway`) with `jerk`, `gap`, `relative_speed` and `ttc`.
+    """The samples (once per second, with `headway`) with `a`, `jerk`, `gap`, `relative_speed` and `ttc`.
 
-    Gap, relative speed and time to collision are those to the vehicle ahead. The jerk [m/s³] is the change of the
-    acceleration over a second. A relative speed [m/s] above 0 closes the gap [m]; only then there is a time to
-    collision [s].
+    Gap, relative speed and time to collision are those to the vehicle ahead. The acceleration [m/s²] is that between
+    the speeds one second before and after, because recordings are smoothed over 2 s and simulations are not; it
+    replaces `a`. The jerk [m/s³] is its change over a second. A relative speed [m/s] above 0 closes the gap [m]; only
+    then there is a time to collision [s].
     """
     ordered = samples.sort_values(["source", "time", "lane", "x"], kind="stable")
     ahead = ordered.shift(-1)
@@ -117,10 +130,40 @@ def with_interactions(samples: pd.DataFrame) -> pd.DataFrame:
     closing = (ordered["v"] - ahead["v"]).where(followed)
     added = ordered.assign(gap=gap, relative_speed=closing, ttc=(gap / closing).where(closing > 0))
     by_vehicle = added.sort_values(["source", "vehicle", "time"], kind="stable")
-    former = by_vehicle.groupby(["source", "vehicle"], sort=False)[["time", "a"]].shift()
-    step = by_vehicle["time"] - former["time"]
-    by_vehicle["jerk"] = ((by_vehicle["a"] - former["a"]) / step).where(step < 1.5)
+    by_vehicle["a"] = _rate(by_vehicle, "v", 1, -1)
+    by_vehicle["jerk"] = _rate(by_vehicle, "a", 1, 0)
     return by_vehicle.loc[samples.index]
+
+
+def _rate(by_vehicle: pd.DataFrame, column: str, before: int, after: int) -> pd.Series:
+    """The change of a column per second, from `before` rows before to −`after` rows after; NaN across gaps in time."""
+    tracks = by_vehicle.groupby(["source", "vehicle"], sort=False)[["time", column]]
+    first, last = (tracks.shift(number) for number in (before, after))
+    lasted = last["time"] - first["time"]
+    return ((last[column] - first[column]) / lasted).where(lasted < before - after + 0.5)
+
+
+def seed_interval(by_seed: tuple[float, ...]) -> tuple[float, float]:
+    """The 95 % interval of the mean over seeds (Student's t); NaN for a single seed, and for an unknown value."""
+    values = np.array(by_seed)
+    if len(values) < 2 or not np.isfinite(values).all():
+        return np.nan, np.nan
+    half = float(t.ppf(0.975, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values)))
+    return float(values.mean()) - half, float(values.mean()) + half
+
+
+def constant_traffic(recorded: pd.DataFrame, source: pd.DataFrame) -> pd.DataFrame:
+    """The vehicles of a recording, each driving at the mean speed and mean distances of `source`, with `seed` 0.
+
+    Lanes are used evenly, and nobody changes lanes or closes a gap. It is the baseline that knows the means and nothing
+    else.
+    """
+    level = {name: source[name].mean() for name in ("v", "headway", "time_headway", "gap")}
+    lanes = np.sort(recorded["lane"].dropna().unique())
+    number = recorded.groupby(["window", "vehicle"], sort=False).ngroup()
+    return recorded.assign(
+        **level, a=0.0, jerk=0.0, relative_speed=0.0, ttc=np.nan, lane=lanes[number % len(lanes)], seed=0
+    )
 
 
 def traffic_score(simulated: pd.DataFrame, recorded: pd.DataFrame, other: pd.DataFrame | None) -> TrafficScore:
@@ -158,6 +201,7 @@ def _feature_score(
         _share(_counted(simulated, feature), tested, feature),
         tuple(_share(values, tested, feature) for values in seeds),
         ceiling,
+        _share(np.empty(0), tested, feature),
     )
 
 
@@ -205,78 +249,19 @@ def _statistic_score(name: str, simulated: pd.DataFrame, recorded: pd.DataFrame)
     )
 
 
-def sums_of(name: str, samples: pd.DataFrame) -> Float[np.ndarray, "windows 2"]:
-    """Numerator and denominator of a statistic in each window; of several windows it is the ratio of their sums."""
-    return np.array([_SUMS[name](part) for _, part in samples.groupby("window")]).reshape(-1, 2)
+def sums_of(name: str, samples: pd.DataFrame) -> Float[np.ndarray, "windows sums"]:
+    """What is summed over windows for a statistic, in each of the windows.
+
+    That is numerator and denominator, whose ratio it is; for the speed of waves there are three sums per lag.
+    """
+    numbers, window = np.unique(samples["window"].to_numpy(), return_inverse=True)
+    return SUMS[name](samples, window, len(numbers)).astype(float)
 
 
 def _value(name: str, sums: np.ndarray) -> float:
+    if name == "wave_speed":
+        return wave_speed(sums)
     if sums[1] <= 0:
         return np.nan
     ratio = sums[0] / sums[1]
     return float(np.sqrt(ratio) if name.endswith("_sd") else ratio)
-
-
-def _spread(column: str, by: str | None = None) -> Callable[[pd.DataFrame], tuple[float, float]]:
-    """Sum of squared deviations from the mean of each group, and the degrees of freedom."""
-
-    def sums(part: pd.DataFrame) -> tuple[float, float]:
-        known = part.dropna(subset=[column])
-        groups = known.groupby([by] if by else np.zeros(len(known)), sort=False)[column]
-        size = groups.transform("size")
-        squares = (known[column] - groups.transform("mean")) ** 2
-        return float(squares[size > 1].sum()), float((groups.size() - 1).clip(lower=0).sum())
-
-    return sums
-
-
-def _percent(inside: Callable[[pd.DataFrame], pd.Series], of: Callable[[pd.DataFrame], pd.Series]) -> Callable:
-    """Samples that fulfil a condition, in percent of those that fulfil another."""
-
-    def sums(part: pd.DataFrame) -> tuple[float, float]:
-        base = part[of(part)]
-        return 100.0 * float(inside(base).sum()), float(len(base))
-
-    return sums
-
-
-def _lane_changes(part: pd.DataFrame) -> tuple[float, float]:
-    """Changes between one second and the next, and the vehicle-kilometres between both."""
-    ordered = part.dropna(subset=["lane"]).sort_values(["vehicle", "time"], kind="stable")
-    former = ordered.groupby("vehicle", sort=False)[["time", "lane", "x"]].shift()
-    known = (ordered["time"] - former["time"]) < 1.5
-    changed = known & (ordered["lane"] != former["lane"])
-    return float(changed.sum()), float((ordered["x"] - former["x"])[known].sum()) / 1000
-
-
-def _autocorrelation(lag: int) -> Callable[[pd.DataFrame], tuple[float, float]]:
-    """Products of the deviations of a lane's speed from its mean in the window, `lag` seconds apart; and squares."""
-
-    def sums(part: pd.DataFrame) -> tuple[float, float]:
-        field = part.assign(second=part["time"].round().astype(int)).pivot_table("v", "second", "lane", "mean")
-        if len(field) < lag + 5:
-            return 0.0, 0.0
-        field = field.reindex(range(field.index.min(), field.index.max() + 1))
-        deviation = (field - field.mean()).to_numpy()
-        pairs = deviation[:-lag] * deviation[lag:]
-        known = np.isfinite(pairs)
-        squares = (np.square(deviation[:-lag]) + np.square(deviation[lag:])) / 2
-        return float(pairs[known].sum()), float(squares[known].sum())
-
-    return sums
-
-
-def _everyone(part: pd.DataFrame) -> pd.Series:
-    return part["v"].notna()
-
-
-_SUMS: dict[str, Callable[[pd.DataFrame], tuple[float, float]]] = {
-    "vehicle_sd": _spread("v", "vehicle"),
-    "lane_sd": _spread("v", "lane"),
-    "headway_sd": _spread("time_headway"),
-    "short_headways": _percent(lambda p: p["time_headway"] < SHORT_HEADWAY, lambda p: p["time_headway"].notna()),
-    "standing": _percent(lambda p: p["v"] < STANDING, _everyone),
-    "slow_leftmost": _percent(lambda p: p["v"] < SLOW, lambda p: p["lane"] == 1),
-    "lane_changes": _lane_changes,
-    **{f"autocorrelation_{lag}": _autocorrelation(lag) for lag in LAGS},
-}

@@ -1,5 +1,7 @@
 """The score of simulated traffic, by hand and by its properties."""
 
+import json
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -7,8 +9,18 @@ import pytest
 from cosim.studies.observation_windows import Window, seen_through, windows_of
 from cosim.studies.score_report import write_score
 from cosim.studies.traffic_samples import with_headways
-from cosim.studies.traffic_score import FEATURES, STATISTICS, sums_of, traffic_score, with_interactions
+from cosim.studies.traffic_score import (
+    FEATURES,
+    STATISTICS,
+    constant_traffic,
+    seed_interval,
+    sums_of,
+    traffic_score,
+    with_interactions,
+)
+from cosim.studies.wave_speed import wave_speed
 from gri.errors import InputError
+from gri.table import terminal_text
 
 SPEED = {feature.name: feature for feature in FEATURES}["v"]
 
@@ -53,14 +65,15 @@ def test_the_simulation_is_seen_through_the_same_stretch_lanes_and_time() -> Non
 
 def test_interactions_by_hand() -> None:
     one = pd.concat([track("behind", 12.0, x=0.0), track("ahead", 10.0, x=30.0)], ignore_index=True)
-    one.loc[one["vehicle"] == "behind", "a"] = np.arange(10) * 0.5
+    one.loc[one["vehicle"] == "ahead", "v"] = 10.0 + 0.1 * np.arange(10) ** 2
     found = with_interactions(with_headways(one))
     behind, ahead = (found[found["vehicle"] == name] for name in ("behind", "ahead"))
     assert behind["gap"].iloc[0] == 26.0  # 30 m from front to front, less 4 m
     assert behind["relative_speed"].iloc[0] == 2.0
     assert behind["ttc"].iloc[0] == 13.0
-    assert behind["jerk"].iloc[1:].tolist() == [0.5] * 9
-    assert np.isnan(behind["jerk"].iloc[0])
+    assert ahead["a"].iloc[1:-1].tolist() == pytest.approx([0.2 * k for k in range(1, 9)])  # the derivative of v
+    assert ahead["jerk"].iloc[2:-1].tolist() == pytest.approx([0.2] * 7)
+    assert ahead["a"].isna().sum() == 2  # no speed before the first sample, none after the last
     assert ahead[["gap", "ttc", "relative_speed"]].isna().all(axis=None)
 
 
@@ -118,11 +131,66 @@ def test_how_long_speeds_last() -> None:
     assert at[10] == pytest.approx(0.0, abs=0.1)
 
 
+def wave(speed: float, period: float, seconds: int = 120, length: float = 300.0) -> pd.DataFrame:
+    """A field of speeds that moves upstream at `speed` [m/s]: standing probes every 10 m, once a second."""
+    x, time = (values.ravel() for values in np.meshgrid(np.arange(0.0, length, 10), np.arange(float(seconds))))
+    v = 10 + 3 * np.sin(2 * np.pi * (time + x / speed) / period)
+    names = [f"{place:.0f}" for place in x]
+    columns = {"time": time, "vehicle": names, "lane": 1.0, "x": x, "v": v, "a": 0.0, "length": 4.0, "source": "r"}
+    return pd.DataFrame(columns)
+
+
+@pytest.mark.parametrize("speed", [3.5, 4.5, 6.0])
+def test_how_fast_waves_travel_upstream(speed: float) -> None:
+    found = wave_speed(sums_of("wave_speed", prepared(wave(speed, 60))).sum(0))
+    assert found == pytest.approx(3.6 * speed, rel=0.05)
+
+
+def test_where_nothing_travels_upstream_there_is_no_speed() -> None:
+    """White noise, and a wave that travels downstream and is too long for both places to agree at any lag."""
+    noise = wave(5, 60).assign(v=np.random.default_rng(0).normal(10, 2, 30 * 120))
+    assert np.isnan(wave_speed(sums_of("wave_speed", prepared(noise)).sum(0)))
+    assert np.isnan(wave_speed(sums_of("wave_speed", prepared(wave(-5, 300))).sum(0)))
+
+
+def test_the_constant_baseline_has_the_means_and_no_spread() -> None:
+    recorded, other = prepared(traffic(12, 1)), prepared(traffic(14, 2))
+    constant = constant_traffic(recorded, other)
+    assert constant["v"].unique().tolist() == [other["v"].mean()]
+    assert constant.groupby("vehicle")["lane"].nunique().max() == 1
+    score = traffic_score(constant, recorded, other)
+    shares = {s.feature.name: s for s in score.features}
+    assert shares["lane"].share > 0.95  # evenly over the three lanes, as recorded
+    assert all(shares[name].share < 0.2 for name in ("v", "headway", "time_headway", "relative_speed"))
+    assert shares["ttc"].share == pytest.approx(shares["ttc"].uniform)  # nobody closes a gap, so nothing is known
+    assert {s.name: s.simulated for s in score.statistics}["vehicle_sd"] == pytest.approx(0.0)
+    assert score.total < 0.5 * traffic_score(prepared(traffic(12, 3)), recorded, other).total
+
+
+def test_a_uniform_histogram_by_hand() -> None:
+    """All of 20 samples in one of 40 bins of 1 m/s; 0.1 is added to each bin."""
+    recorded = prepared(track("a", 10.5, seconds=20))
+    (speed,) = (s for s in traffic_score(recorded, recorded, recorded).features if s.feature is SPEED)
+    assert speed.uniform == pytest.approx((1 / 40) / (20.1 / 24.0))
+    assert speed.of_ceiling == pytest.approx(1.0)
+
+
+def test_the_interval_over_seeds_is_students() -> None:
+    low, high = seed_interval((1.0, 2.0, 3.0))
+    assert (high - low) / 2 == pytest.approx(4.3027 / np.sqrt(3), rel=1e-4)
+    assert (high + low) / 2 == 2.0
+    assert np.isnan(seed_interval((1.0,))).all()
+    assert np.isnan(seed_interval((1.0, np.nan))).all()
+
+
 def test_a_report_is_written_and_a_wrong_offset_is_told(tmp_path) -> None:
     recorded, simulated = traffic(12, 1), [traffic(12, 2), traffic(12, 3)]
     likelihoods, statistics = write_score(tmp_path, simulated, recorded, None, views=4, offset=0.0)
     assert {path.name for path in tmp_path.iterdir()} == {"score.csv", "score.json", "space_time.png"}
     assert likelihoods.lines[-1][0] == "weighted score"
+    assert max(map(len, terminal_text(likelihoods, 80).splitlines())) <= 80
+    rows = json.loads((tmp_path / "score.json").read_text())["quantities"]
+    assert {"constant", "uniform", "of_ceiling", "seeds_low", "seeds_high"} <= set(rows[0])
     assert len(statistics.lines) == len(STATISTICS)
     with pytest.raises(InputError, match=r"--offset: got 9000 m, at which no simulated vehicle"):
         write_score(tmp_path, simulated, recorded, None, views=4, offset=9000.0)
