@@ -14,7 +14,7 @@ from gri.core.dynamics import DUBINS
 from gri.core.edges import LANE_CHANGING, pairs
 from gri.data.scene_file.schema import opened, read_header
 from gri.errors import InputError
-from gri.relations.merge_motion import NOMINAL_LENGTH, MergeMotion, motion_of
+from gri.relations.merge_motion import NOMINAL_LENGTH, MergeMotion, lane_width_of, motion_of
 
 MERGER, LAG, LEADER = 0, 1, 2
 X, Y, V = 0, 1, 2  # features of a state
@@ -67,7 +67,6 @@ def read_merges(path: Path) -> MergeScenes:
     if len(sites) != 1:
         raise InputError(f"{path}: got merges of {', '.join(sites)}, wanted one site; give a file for each")
     state = torch.from_numpy(np.stack([column[name] for name in DUBINS.state], -1).astype(np.float64))
-    sideways = (state[:, MERGER, -1, Y] - state[:, MERGER, 0, Y]).abs()
     code = {str(kind): k for k, kind in enumerate(LANE_CHANGING)}
 
     def relations(word: str) -> Int[Tensor, "S T E"]:
@@ -77,7 +76,7 @@ def read_merges(path: Path) -> MergeScenes:
     return MergeScenes(
         site=str(sites[0]),
         dt=header.dt,
-        lane_width=float(sideways[sideways > 1.0].median()),
+        lane_width=lane_width_of(state),
         state=state,
         length=torch.from_numpy(np.nan_to_num(column["length"][..., 0]).astype(np.float64)),
         steps=relations("step_edge"),

@@ -7,6 +7,7 @@ from jaxtyping import Bool, Float, Int
 
 from gri.bench.scores import Score
 from gri.core.edges import LANE_CHANGING, EdgeType
+from gri.evaluation.graph_scores import f1_of_types
 
 K = len(LANE_CHANGING)
 RESAMPLES = 200
@@ -22,10 +23,8 @@ def macro_f1(answer: Answer, truth: Answer) -> float:
 
 
 def f1_by_type(answer: Answer, truth: Answer) -> Float[np.ndarray, " K"]:
-    """F1 of each relation; NaN where it is neither true nor inferred."""
-    counts = np.bincount((truth * K + answer).ravel(), minlength=K * K).reshape(K, K)
-    both = counts.sum(0) + counts.sum(1)
-    return np.where(counts.sum(1) > 0, 2 * np.diag(counts) / np.maximum(both, 1), np.nan)
+    """F1 of each relation; NaN for one that does not occur."""
+    return f1_of_types(answer, truth, K)
 
 
 def accuracy(answer: Int[np.ndarray, "S *E"], truth: Int[np.ndarray, "S *E"]) -> float:

@@ -5,6 +5,7 @@ from typing import Annotated
 import typer
 
 from gri.commands.bench import app as bench_app
+from gri.commands.infer import infer
 from gri.commands.models import data, evaluate, teach, train
 from gri.commands.ngsim import app as ngsim_app
 from gri.commands.reproduce import reproduce
@@ -14,7 +15,7 @@ from gri.terminal import fail, show_version
 
 # Without a markup mode the help is plain text: units in square brackets, such as [m], would vanish as Rich markup.
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
-for _command in (data, train, teach, evaluate, reproduce):
+for _command in (data, train, teach, evaluate, infer, reproduce):
     app.command()(_command)
 app.add_typer(scenes_app, name="scenes")
 app.add_typer(ngsim_app, name="ngsim")

@@ -107,7 +107,7 @@ def teach(
 
     path = resources.find_checkpoint(path)
     model, made = checkpoint.load(path), checkpoint.provenance(path)
-    config = _trained_with(path, made)
+    config = trained_with(path, made)
     settings = TeachingSettings() if updates is None else TeachingSettings(updates=updates)
     windows, steps = None, model.history_steps
     if recordings:
@@ -147,7 +147,7 @@ def evaluate(
 
     path = resources.find_checkpoint(path)
     model, made = checkpoint.load(path), checkpoint.provenance(path)
-    config = _trained_with(path, made)
+    config = trained_with(path, made)
     found, remarks = None, []
     if scene_file is not None:
         check_own_digest(scene_file, REMAKE)
@@ -195,7 +195,7 @@ def _read(config: str) -> "TrainConfig":
     return read_train_config(path)
 
 
-def _trained_with(path: Path, provenance: Mapping[str, Any]) -> "TrainConfig":
+def trained_with(path: Path, provenance: Mapping[str, Any]) -> "TrainConfig":
     """The configuration that a checkpoint was trained with. Errors: `InputError` if the file does not say."""
     from gri.training.train import TrainConfig
 

@@ -28,12 +28,20 @@ def recorded_scenes(path: Path | Sequence[Path], scenes: RecordedRange, split: s
     dynamics = dynamics_named(scenes.dynamics)
     paths = [path] if isinstance(path, Path) else path
     found = joined([part for each in paths for part in _read_file(each, scenes, split)])
-    state = _lateral_from_leader(found.trajectory.state) if "y" in dynamics.state else found.trajectory.state
-    if scenes.length is not None:
-        state = with_vehicle_length(scenes.length, state, found.length)
-    state = _from_start_of_vehicle_0(state)
+    state = in_model_coordinates(found.trajectory.state, found.length, scenes)
     action = dynamics.inverse(state[:, :-1, :-1], state[:, :-1, 1:], found.trajectory.dt)
     return Scenes(state, action, found.graph), found
+
+
+def in_model_coordinates(
+    state: Float[Tensor, "S N T D"], length: Float[Tensor, "S N"], scenes: RecordedRange
+) -> Float[Tensor, "S N T D"]:
+    """States of a scene file as the models of a range want them: x from the start of vehicle 0, y from the leader."""
+    if "y" in dynamics_named(scenes.dynamics).state:
+        state = _lateral_from_leader(state)
+    if scenes.length is not None:
+        state = with_vehicle_length(scenes.length, state, length)
+    return _from_start_of_vehicle_0(state)
 
 
 def has_sampled_lateral_motion(found: Recorded) -> Bool[np.ndarray, " S"]:

@@ -8,6 +8,7 @@ without meaning must be renamed to types before a comparison. The best of all K!
 from itertools import permutations
 from math import log
 
+import numpy as np
 import torch
 from jaxtyping import Float, Int
 from torch import Tensor
@@ -28,6 +29,15 @@ def f1(inferred: Types, true: Types, kind: int) -> float | None:
     true_positives = int(((inferred == kind) & (true == kind)).sum())
     predicted, present = int((inferred == kind).sum()), int((true == kind).sum())
     return 2 * true_positives / (predicted + present) if predicted + present else None
+
+
+def f1_of_types(
+    inferred: Int[np.ndarray, "*S"], true: Int[np.ndarray, "*S"], types: int
+) -> Float[np.ndarray, " {types}"]:
+    """F1 of each of `types` types, over all values; NaN for a type that does not occur."""
+    counts = np.bincount((true * types + inferred).ravel(), minlength=types * types).reshape(types, types)
+    present = counts.sum(1)
+    return np.where(present > 0, 2 * np.diag(counts) / np.maximum(counts.sum(0) + present, 1), np.nan)
 
 
 def renamed(inferred: Types, naming: tuple[int, ...]) -> Types:

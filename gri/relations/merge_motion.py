@@ -8,6 +8,7 @@ from torch import Tensor
 
 NOMINAL_LENGTH = 5.0  # [m], of vehicles whose length is not known
 STRAIGHTEST = 1.875  # greatest lateral speed of a path of least jerk, in widths per duration
+LEAST_CHANGE = 1.0  # [m] sideways, of a lane change
 SLOWEST_CHANGE = 0.03  # widths per step
 
 
@@ -83,6 +84,19 @@ def motion_of(
         length=torch.where(known > 0, known, NOMINAL_LENGTH),
         dt=dt,
     )
+
+
+def lane_width_of(state: Float[Tensor, "S N T D"]) -> float:
+    """The distance between two lanes [m]: the median way sideways of the vehicles 0 that change lanes.
+
+    Raises `ValueError` if none does.
+    """
+    sideways = (state[:, 0, -1, 1] - state[:, 0, 0, 1]).abs().double()
+    if not bool((sideways > LEAST_CHANGE).any()):
+        raise ValueError(
+            f"got no scene in which vehicle 0 moves more than {LEAST_CHANGE:g} m sideways, wanted lane changes"
+        )
+    return float(sideways[sideways > LEAST_CHANGE].median())
 
 
 def lane_numbers(y: Float[Tensor, "S N T"], lane_width: float | Float[Tensor, " S"]) -> Float[Tensor, "S N T"]:

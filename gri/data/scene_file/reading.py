@@ -57,7 +57,7 @@ def read(path: Path, kind: str, dynamics: Dynamics, vocabulary: Vocabulary, spli
     with guarded_reading(path, "scene file", "make it again"):
         header = read_header(opened(path), path)
         n = header.vehicles
-        filters = [("kind", "=", kind)] + ([("split", "=", split)] if split else [])
+        filters = _filters(kind, split)
         names = ["scene", "step", "valid", "source", "split", "vehicle", "length", *dynamics.state]
         known = set(opened(path).schema_arrow.names)
         more = [*(f"{word}_from_{i}" for word in ("edge", "hypothesis") for i in range(n)), "unambiguous"]
@@ -104,7 +104,28 @@ def read(path: Path, kind: str, dynamics: Dynamics, vocabulary: Vocabulary, spli
         )
 
 
-def read_step_edges(path: Path, kind: str, vocabulary: Vocabulary, split: str) -> Int[np.ndarray, "S E T"]:
+def scene_numbers(path: Path, kind: str, split: str | None = None) -> Int[np.ndarray, " S"]:
+    """The numbers in their file of the scenes that `read` reads."""
+    with guarded_reading(path, "scene file", "make it again"):
+        table = pq.read_table(path, columns=["scene"], filters=_filters(kind, split))
+        return np.unique(table["scene"].to_numpy())
+
+
+def has_step_edges(path: Path, kind: str) -> bool:
+    """Whether all scenes of a kind have edges that change from step to step."""
+    with guarded_reading(path, "scene file", "make it again"):
+        name = "step_edge_from_0"
+        if name not in opened(path).schema_arrow.names:
+            return False
+        column = pq.read_table(path, columns=[name], filters=[("kind", "=", kind), ("role", "=", 1)])[name]
+        return column.null_count == 0 and len(column) > 0
+
+
+def _filters(kind: str, split: str | None) -> list[tuple[str, str, str]]:
+    return [("kind", "=", kind)] + ([("split", "=", split)] if split else [])
+
+
+def read_step_edges(path: Path, kind: str, vocabulary: Vocabulary, split: str | None) -> Int[np.ndarray, "S E T"]:
     """Edge types of every step, as indices into the vocabulary, of the scenes that `read` reads.
 
     Errors: `InputError` if the file does not have them, or has an edge type outside the vocabulary.
@@ -125,10 +146,9 @@ def read_lateral(path: Path, kind: str, split: str) -> Float[np.ndarray, "S N T"
         return _columns(path, ["y"], kind, split)[..., 0].astype(float)
 
 
-def _columns(path: Path, names: Sequence[str], kind: str, split: str) -> np.ndarray:
+def _columns(path: Path, names: Sequence[str], kind: str, split: str | None) -> np.ndarray:
     """[S, N, T, C] Columns of the scenes of a kind and split, all of one number of steps."""
-    filters = [("kind", "=", kind), ("split", "=", split)]
-    table = pq.read_table(path, columns=["step", *names], filters=filters)
+    table = pq.read_table(path, columns=["step", *names], filters=_filters(kind, split))
     shape = (-1, read_header(opened(path), path).vehicles, int(table["step"].to_numpy().max()) + 1)
     return np.stack([table[name].to_numpy(zero_copy_only=False).reshape(shape) for name in names], -1)
 
