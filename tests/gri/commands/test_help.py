@@ -30,6 +30,7 @@ def test_commands_stand_in_the_order_in_which_one_uses_them(pages):
         "train",
         "teach",
         "evaluate",
+        "infer",
         "reproduce",
         "scenes",
         "ngsim",
