@@ -1,7 +1,6 @@
 """The scenes of a configuration. Synthetic ones are made once and kept in a file; others are read from scene files."""
 
 import hashlib
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +29,8 @@ from gri.data.synthetic.optimal_followers import (
 )
 from gri.errors import InputError
 from gri.progress import Progress, no_progress
+from gri.storage.verification import check_own_digest, digest_file, write_digest
+from gri.storage.whole_files import whole_file
 
 _SYNTHETIC: dict[str, Range] = {**RANGES, "lane_changing": LANE_CHANGING_SCENES, "highway_merge": HIGHWAY_MERGE}
 
@@ -196,20 +197,17 @@ def _scenes_of_expert(drivers: IdmExpert | OptimalExpert, config: DataConfig, sc
 def write_scenes(path: Path, scenes: Scenes) -> None:
     """Write scenes to an .npz file with the arrays `state`, `action`, `graph` and, if they have one, `history`.
 
-    The file is complete or it does not exist: a temporary file is renamed at the end.
+    The file is complete or it does not exist; its hash is written beside it.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_suffix(f".{os.getpid()}.part")
-    try:
-        with part.open("wb") as file:
-            np.savez(file, **{name: array.numpy() for name, array in vars(scenes).items() if array is not None})
-        os.replace(part, path)
-    finally:
-        part.unlink(missing_ok=True)
+    digest_file(path).unlink(missing_ok=True)
+    with whole_file(path) as part, part.open("wb") as file:
+        np.savez(file, **{name: array.numpy() for name, array in vars(scenes).items() if array is not None})
+    write_digest(path)
 
 
 def read_scenes(path: Path) -> Scenes:
     """The scenes of a file written by `write_scenes`. Errors: `InputError` if it is another file, or damaged."""
+    check_own_digest(path, "delete it, then it is made again")
     try:
         with path.open("rb") as file, np.load(file) as arrays:
             names = [name for name in ("state", "action", "graph", "history") if name != "history" or name in arrays]

@@ -30,14 +30,15 @@ class DamagedError(InputError):
 
 
 def digest(path: Path) -> str:
-    """SHA-256 of a file's content. It is computed again only when the file's identity, size or time has changed.
+    """SHA-256 of a file's content. It is computed again only when the file's identity, size or times have changed.
 
-    A file that was written just now is always read: it could be written again without a change of its time.
+    A file that was written just now is always read: it could be written again without a change of its time. The time of
+    its last change counts besides that of its content, which programs set, and which a clock that was put back repeats.
     """
     found = path.stat()
     if abs(time.time() - found.st_mtime) < JUST_NOW:
         return _content_hash(path)
-    return _digest(path, found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns)
+    return _digest(path, found.st_dev, found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns)
 
 
 @lru_cache(maxsize=10_000)

@@ -148,8 +148,9 @@ def read_lateral(path: Path, kind: str, split: str) -> Float[np.ndarray, "S N T"
 
 def _columns(path: Path, names: Sequence[str], kind: str, split: str | None) -> np.ndarray:
     """[S, N, T, C] Columns of the scenes of a kind and split, all of one number of steps."""
+    vehicles = read_header(opened(path), path).vehicles
     table = pq.read_table(path, columns=["step", *names], filters=_filters(kind, split))
-    shape = (-1, read_header(opened(path), path).vehicles, int(table["step"].to_numpy().max()) + 1)
+    shape = (-1, vehicles, int(table["step"].to_numpy().max()) + 1)
     return np.stack([table[name].to_numpy(zero_copy_only=False).reshape(shape) for name in names], -1)
 
 

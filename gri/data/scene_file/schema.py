@@ -20,6 +20,7 @@ import pyarrow.parquet as pq
 
 from gri.core.edges import EdgeType, pairs
 from gri.errors import InputError, guarded_reading
+from gri.storage.verification import check_own_digest
 
 FORMAT, VERSION = "gri-scenes", 1
 KEY = b"gri.scenes"
@@ -239,9 +240,9 @@ def names_of(edges: Mapping[tuple[int, int], EdgeType], n: int = 3) -> np.ndarra
 
 
 def opened(path: Path) -> pq.ParquetFile:
-    """An opened Parquet file. Errors: `InputError` if it is not readable as Parquet."""
+    """An opened Parquet file. Errors: `InputError` if it is not readable as Parquet, or has not the hash beside it."""
     with guarded_reading(path, "scene file", "make it again"):
-        file = pq.ParquetFile(path)
+        file = pq.ParquetFile(check_own_digest(path, "make it again"))
         rows, size = file.metadata.num_rows, path.stat().st_size
         if rows > MOST_ROWS or rows > ROWS_PER_BYTE * size + ROWS:
             raise InputError(f"{path}: claims {rows:,} rows in {size:,} bytes; make the file again, or split it")

@@ -85,6 +85,20 @@ def test_a_hash_is_computed_again_only_when_the_file_has_changed(tmp_path, monke
     assert len(computed) == 3  # its time may be the same after the next change
 
 
+@pytest.mark.parametrize("jump", [-1e6, -3600.0, 0.0, 3600.0, 1e9], ids="{:g} s".format)
+def test_a_clock_that_jumps_hides_no_change(tmp_path, monkeypatch, jump):
+    """The clock jumps after a file was written, and is back at the very same instant when it is written again."""
+    path = tmp_path / "table"
+    path.write_bytes(b"rows")
+    instant = path.stat().st_mtime
+    monkeypatch.setattr(verification.time, "time", lambda: instant + jump)
+    before = digest(path)
+    assert digest(path) == before
+    path.write_bytes(b"ROWS")
+    os.utime(path, (instant, instant))
+    assert digest(path) != before
+
+
 def test_a_missing_or_changed_file_is_damaged(tmp_path):
     path = tmp_path / "table"
     with pytest.raises(DamagedError, match="No such file"):

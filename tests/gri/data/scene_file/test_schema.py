@@ -9,9 +9,10 @@ import pytest
 from gri.core.dynamics import DUBINS, POINT_MASS_1D
 from gri.core.graph import FOLLOWING, LANE_CHANGING, EdgeType
 from gri.data.scene_file import schema
-from gri.data.scene_file.reading import read
+from gri.data.scene_file.reading import read, read_lateral, read_step_edges, scene_counts
 from gri.data.scene_file.schema import Header, SceneBlock, header_of, joining, names_of, writing
 from gri.errors import InputError
+from gri.storage.verification import DamagedError, write_digest
 
 
 def block(
@@ -52,6 +53,27 @@ def test_scenes_come_back_as_they_were(tmp_path: Path):
     np.testing.assert_array_equal(scenes.vehicle[4], [12, 13, 14])
     assert len(read(path, "car_following", POINT_MASS_1D, LANE_CHANGING, split="test")) == 3
     assert header_of(path).provenance == {"why": "test"}
+
+
+def test_no_flipped_bit_of_a_file_with_its_hash_is_read(tmp_path: Path):
+    path = written(tmp_path, block())
+    write_digest(path)
+    whole = path.read_bytes()
+    readers = (
+        header_of,
+        scene_counts,
+        lambda path: read(path, "car_following", POINT_MASS_1D, FOLLOWING),
+        lambda path: read_lateral(path, "car_following", "train"),
+        lambda path: read_step_edges(path, "car_following", FOLLOWING, "train"),
+    )
+    for k, bit in enumerate(range(0, 8 * len(whole), len(whole) // 10)):
+        changed = bytearray(whole)
+        changed[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(changed)
+        with pytest.raises(DamagedError, match=r"is damaged .* make it again"):
+            readers[k % len(readers)](path)
+    path.write_bytes(whole)
+    assert len(read(path, "car_following", POINT_MASS_1D, FOLLOWING)) == 5
 
 
 def test_one_line_of_pandas_reads_it(tmp_path: Path):
