@@ -72,8 +72,9 @@ def _at(values: Sequence[float], interval: int) -> float:
 def _intervals(traffic: Traffic) -> range:
     """The demand intervals that differ in any way, those of the warm-up and the one behind it."""
     limits = () if traffic.bottleneck is None else traffic.bottleneck.limits
+    held = () if traffic.bottleneck is None or traffic.bottleneck.hold is None else traffic.bottleneck.hold.mean_speed
     warm_up = math.ceil(traffic.warm_up / traffic.interval) + 1
-    return range(max(len(limits), warm_up, *(len(flow.per_hour) for flow in traffic.flows)))
+    return range(max(len(limits), len(held), warm_up, *(len(flow.per_hour) for flow in traffic.flows)))
 
 
 def _carried(traffic: Traffic, before: Traffic) -> Traffic:
@@ -105,7 +106,7 @@ def _denser(traffic: Traffic, factor: float, length: float) -> Traffic:
     density is 1/spacing(v). So the bottleneck's limits become those at which the spacing is smaller by q. The demand is
     what the queue carries then, that is q·v'/v of what it was. Only during the warm-up it is higher, until the vehicles
     that make the road denser are there (`_filling`). Flows beside the bottleneck's lanes keep their demand. Without a
-    bottleneck all flows get the factor.
+    bottleneck all flows get the factor. A held mean speed becomes that of this flow at this density.
     """
     bottleneck = traffic.bottleneck
     if bottleneck is None or not mean_spacing(traffic, 0.0):
@@ -129,7 +130,11 @@ def _denser(traffic: Traffic, factor: float, length: float) -> Traffic:
         )
         for flow in traffic.flows
     )
-    return replace(traffic, flows=flows, bottleneck=replace(bottleneck, limits=limits))
+    hold = bottleneck.hold
+    if hold is not None:  # flow = density · speed in the study area
+        ratios = [denser * part / factor for part in slower]
+        hold = replace(hold, mean_speed=tuple(_at(hold.mean_speed, k) * ratio for k, ratio in enumerate(ratios)))
+    return replace(traffic, flows=flows, bottleneck=replace(bottleneck, limits=limits, hold=hold))
 
 
 def _filling(traffic: Traffic, factor: float, carried: Sequence[float], length: float) -> list[float]:

@@ -52,9 +52,10 @@ class VehicleClass(Spec, frozen=True, kw_only=True):
     """A population of vehicles and drivers, from which `variants` vehicle types are drawn (SUMO doc: Vehicle Types).
 
     Lengths and gaps in m, accelerations in m/s²; `tau` is the desired time headway [s]. `tau_cv` is the coefficient of
-    variation of its log-normal distribution. Each `_sd` is the standard deviation of a normal distribution that is cut
-    off at two standard deviations. `imperfection` is the sigma of Krauss's model, 0.5 unless given. IDM and EIDM have
-    none; EIDM errs in what it perceives, with SUMO's default parameters.
+    variation of its log-normal distribution, `tau_min` [s] its least value. Each `_sd` is the standard deviation of a
+    normal distribution that is cut off at two standard deviations. `imperfection` is the sigma of Krauss's model, 0.5
+    unless given, and `imperfection_step` [s] how long each of its random decelerations lasts (SUMO's sigmaStep), by
+    default one step. IDM and EIDM have none; EIDM errs in what it perceives, with SUMO's default parameters.
     """
 
     name: Name
@@ -68,8 +69,10 @@ class VehicleClass(Spec, frozen=True, kw_only=True):
     deceleration: Acceleration = 3.5
     emergency_deceleration: Acceleration = 9.0
     imperfection: Share | None = None
+    imperfection_step: Annotated[float, Meta(ge=0.01, le=60)] | None = None
     tau: Annotated[float, Meta(ge=0.01, le=60)] = 1.2
     tau_cv: Annotated[float, Meta(ge=0, le=2)] = 0.0
+    tau_min: Annotated[float, Meta(ge=0, le=60)] = 0.0
     min_gap: Annotated[float, Meta(ge=0, le=100)] = 2.0
     min_gap_sd: Annotated[float, Meta(ge=0, le=50)] = 0.0
     speed_factor: Multiple = 1.0
@@ -77,9 +80,11 @@ class VehicleClass(Spec, frozen=True, kw_only=True):
     lane_changing: LaneChanging = field(default_factory=LaneChanging)
 
     def __post_init__(self) -> None:
-        if self.car_following != "Krauss" and self.imperfection:
+        for name in ("imperfection", "imperfection_step"):
+            if self.car_following == "Krauss" or not (value := getattr(self, name)):
+                continue
             raise ValueError(
-                f"vehicle class {self.name!r} has imperfection {self.imperfection:g}, but {self.car_following} has no"
+                f"vehicle class {self.name!r} has {name} {value:g}, but {self.car_following} has no"
                 " such parameter; expected imperfection: 0, or car_following: Krauss"
             )
         for name in ("length", "speed_factor"):
@@ -105,17 +110,88 @@ class Flow(Spec, frozen=True, kw_only=True):
     lanes: Annotated[tuple[Lane, ...], Meta(min_length=1)]
 
 
+class Fluctuation(Spec, frozen=True, kw_only=True):
+    """Random changes of a bottleneck's limits, which send waves upstream: a log-normal process per lane.
+
+    `sd` is the standard deviation of the logarithm (`lane_sd`: that of single lanes), `correlation_time` [s] how long
+    a change lasts, `lane_correlation` the correlation between two lanes at one time. With a `period` [s] the limits
+    swing: changes then recur about every period, for about the correlation time.
+    """
+
+    sd: Annotated[float, Meta(ge=0, le=2)]
+    correlation_time: PositivePeriod = 20.0
+    lane_correlation: Share = 0.0
+    period: PositivePeriod | None = None
+    lane_sd: dict[Place, Annotated[float, Meta(ge=0, le=2)]] = field(default_factory=dict)
+
+
+class Pulses(Spec, frozen=True, kw_only=True):
+    """Times at which traffic all but stands at the bottleneck, which send stop waves upstream.
+
+    On each of `lanes` the limit falls to `limit` [m/s] for `duration` [s], the first time at `first` [s], and again
+    every `period` [s]; `period_cv` is the spread of the periods (that of their logarithm). The limit falls and rises at
+    the rates `falling` and `rising` [m/s²]: abrupt changes make SUMO's drivers brake as in an emergency.
+    """
+
+    lanes: Annotated[tuple[Place, ...], Meta(min_length=1)]
+    limit: SpeedLimit = 0.6
+    duration: PositivePeriod = 45.0
+    period: PositivePeriod = 180.0
+    period_cv: Annotated[float, Meta(ge=0, le=1)] = 0.0
+    first: Period = 60.0
+    falling: Acceleration = 1.5
+    rising: Acceleration = 2.0
+
+
+class Hold(Spec, frozen=True, kw_only=True):
+    """Feedback that holds the mean speed on `edges` (the study area) by a factor on the bottleneck's limits.
+
+    `mean_speed` [m/s] is the target, one per demand interval; the last one continues. The feedback is
+    proportional-integral in the relative error of the mean over `window` [s]: `gain`, and `integral_time` [s]. It
+    begins at `start` [s]. Errors count up to `largest_error`, and the factor stays
+    between 1/`largest_factor` and `largest_factor`.
+    What happens within the last `delay` [s] has no effect, so that drives that are no longer change no limits.
+    """
+
+    edges: Annotated[tuple[Place, ...], Meta(min_length=1)]
+    mean_speed: Annotated[tuple[SpeedLimit, ...], Meta(min_length=1)]
+    gain: Annotated[float, Meta(ge=0, le=10)] = 0.5
+    integral_time: PositivePeriod = 300.0
+    window: PositivePeriod = 60.0
+    delay: PositivePeriod = 30.0
+    start: Period = 200.0
+    largest_error: Annotated[float, Meta(gt=0, le=10)] = 0.5
+    largest_factor: Annotated[float, Meta(gt=1, le=10)] = 1.6
+
+
 class Bottleneck(Spec, frozen=True, kw_only=True):
     """The downstream cause of congestion: speed limits [m/s] of some lanes, one per demand interval.
 
     The last limit continues. `density_response` is by how much per cent the density in the study area rises where that
     in the queue rises by one; above 1 where the queue covers only a part of the study area, because a denser queue is
-    longer, too. `denser_traffic` uses it.
+    longer, too. `denser_traffic` uses it. With `fluctuation`, `pulses` or `hold` the limits change every second.
     """
 
     lanes: Annotated[tuple[Place, ...], Meta(min_length=1)]
     limits: Annotated[tuple[SpeedLimit, ...], Meta(min_length=1)]
     density_response: Annotated[float, Meta(ge=0.1, le=10)] = 1.0
+    fluctuation: Fluctuation | None = None
+    pulses: Pulses | None = None
+    hold: Hold | None = None
+
+    @property
+    def moves(self) -> bool:
+        """Whether the limits change within a demand interval."""
+        return any(part is not None for part in (self.fluctuation, self.pulses, self.hold))
+
+    def __post_init__(self) -> None:
+        named = (
+            ("pulses.lanes", self.pulses.lanes if self.pulses else ()),
+            ("fluctuation.lane_sd", self.fluctuation.lane_sd if self.fluctuation else ()),
+        )
+        for name, lanes in named:
+            if unknown := [lane for lane in lanes if lane not in self.lanes]:
+                raise ValueError(f"{name} has {unknown[0]!r}, expected lanes of the bottleneck: {list(self.lanes)}")
 
 
 class Targets(Spec, frozen=True, kw_only=True):

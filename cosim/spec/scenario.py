@@ -240,6 +240,7 @@ class Scenario(Spec, frozen=True, kw_only=True):
         if self.traffic.has_own_files:
             self._check_own_files()
         check_shares(self, isinstance(self.background, Replay))
+        self._check_held_speed()
         for name in ("policy_period", "history", "horizon", "watch", "rest", "reinfer_s"):
             steps = getattr(self, name) / self.step
             if abs(steps - round(steps)) > 1e-6:
@@ -271,6 +272,23 @@ class Scenario(Spec, frozen=True, kw_only=True):
             raise ValueError(
                 f"perturbations has {kinds[0]}, which changes the demand, and traffic has SUMO files of its own;"
                 " expected traffic with vehicles and flows, or other perturbations"
+            )
+
+    def _check_held_speed(self) -> None:
+        """What policies do must not move the limits of the bottleneck, or its feedback would hide their effect."""
+        hold = self.traffic.bottleneck.hold if self.traffic.bottleneck is not None else None
+        if hold is None or isinstance(self.background, Replay):
+            return
+        if self.has_shares:
+            raise ValueError(
+                "traffic holds the mean speed by feedback (bottleneck.hold), which would undo what a share changes;"
+                " expected traffic without bottleneck.hold"
+            )
+        if self.horizon + self.watch > hold.delay:
+            raise ValueError(
+                f"horizon and watch last {self.horizon + self.watch:g} s together, expected at most the delay of the"
+                f" feedback on the bottleneck ({hold.delay:g} s), so that no drive moves its limits; raise"
+                " traffic.bottleneck.hold.delay"
             )
 
     @property

@@ -22,6 +22,7 @@ from cosim.sumo.drivers import Drivers
 from cosim.sumo.net import Net
 from cosim.sumo.path_encoding import use_utf8_paths
 from cosim.sumo.positions import SHADOW, without_shadows
+from cosim.sumo.speed_limits import set_limits, speeds_on
 from cosim.sumo.states import StateReader
 from cosim.world.road_frame import RoadFrame, sumo_angle_of
 from cosim.world.snapshot import LANE_AHEAD, Snapshot, StepReport
@@ -231,6 +232,14 @@ class Sumo:
     def slow_before_bends(self, friction: float) -> None:
         """Let SUMO's drivers slow down before bends, on a road with this coefficient of friction."""
         slow_before_bends(friction)
+
+    def speeds_on(self, edges: Sequence[str]) -> tuple[float, float]:
+        """The sum of the speeds [m/s] of the vehicles on these edges, and their number."""
+        return speeds_on(edges)
+
+    def set_limits(self, lanes: Sequence[str], limits: Sequence[float]) -> None:
+        """Set the speed limit [m/s] of each lane, from the next step on."""
+        set_limits(lanes, limits)
 
     def waiting(self) -> int:
         """Number of vehicles that could not enter the net at their departure time and still wait."""

@@ -39,9 +39,10 @@ def sign_file(traffic: Traffic) -> str:
     """SUMO's additional file with the bottleneck's variable speed sign, if there is a bottleneck.
 
     SUMO changes the limits by itself, so that every branch of a simulation has them (SUMO doc: Variable Speed Signs).
+    Limits that move are set while the simulation runs instead (`cosim.traffic.bottleneck_control`).
     """
     lines = []
-    if traffic.bottleneck is not None:
+    if traffic.bottleneck is not None and not traffic.bottleneck.moves:
         steps = (
             f'        <step time="{k * traffic.interval:g}" speed="{limit:g}"/>'
             for k, limit in enumerate(traffic.bottleneck.limits)
@@ -69,12 +70,14 @@ def _types(vehicles: VehicleClass, rng: np.random.Generator) -> list[str]:
     """The vType elements of one vehicle class: `variants` draws from its distributions."""
     n, lane = vehicles.variants, vehicles.lane_changing
     sigma = np.sqrt(np.log1p(vehicles.tau_cv**2))
-    tau = vehicles.tau * np.exp(sigma * _standard_normal(rng, n) - sigma**2 / 2)
+    tau = np.maximum(vehicles.tau * np.exp(sigma * _standard_normal(rng, n) - sigma**2 / 2), vehicles.tau_min)
     length = _normal(rng, vehicles.length, vehicles.length_sd, n)
     gap = np.maximum(_normal(rng, vehicles.min_gap, vehicles.min_gap_sd, n), 0.5)
     factor = _normal(rng, vehicles.speed_factor, vehicles.speed_factor_sd, n)
     sigma = KRAUSS_IMPERFECTION if vehicles.imperfection is None else vehicles.imperfection
     model = f' sigma="{sigma:g}"' if vehicles.car_following == "Krauss" else ""
+    if vehicles.imperfection_step is not None:
+        model += f' sigmaStep="{vehicles.imperfection_step:g}"'
     return [
         f'    <vType id="{vehicles.name}.{k}" vClass="{vehicles.v_class}"'
         f' carFollowModel="{vehicles.car_following}"{model}'

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
+from cosim.spec.demand import Bottleneck
 from cosim.spec.scenario import Merge, Replay, Road, Scenario
 from cosim.sumo import Sumo, sumo
+from cosim.traffic.bottleneck_control import BottleneckControl
 from cosim.traffic.replay import RecordedVehicles
 from cosim.traffic.simulation_input import SimulationInput
 from cosim.world.groups import MergeLanes
@@ -41,6 +43,11 @@ def simulation(inputs: SimulationInput) -> Iterator[RunningSimulation]:
         frame = _road(world, scenario.road, inputs.files.net)
         if inputs.friction is not None:
             world.slow_before_bends(inputs.friction)
+        if (bottleneck := inputs.bottleneck) is not None:
+            _check_bottleneck(world, bottleneck, inputs.files.net)
+            interval, end = scenario.traffic.interval, inputs.end
+            control = BottleneckControl(world, bottleneck, interval, scenario.seed, end, scenario.step)
+            world.before_step = control.before_step
         recorded = None
         if isinstance(scenario.background, Replay):
             recorded = RecordedVehicles(
@@ -68,6 +75,15 @@ def _road(world: Sumo, road: Road, net: Path) -> RoadFrame:
             f" {road.edges[-1]!r} there are {frame.end:.1f} m; give at most that, or more edges"
         )
     return frame
+
+
+def _check_bottleneck(world: Sumo, bottleneck: Bottleneck, net: Path) -> None:
+    """Refuse lanes and edges that the net lacks; where limits do not move, SUMO refuses the lanes itself."""
+    edges = bottleneck.hold.edges if bottleneck.hold is not None else ()
+    if missing := [edge for edge in edges if edge not in world.net.edges()]:
+        raise InputError(f"bottleneck.hold.edges: the net {net} has no edge {missing[0]!r}; name edges of this net")
+    if missing := [lane for lane in bottleneck.lanes if lane not in world.net.lanes]:
+        raise InputError(f"bottleneck.lanes: the net {net} has no lane {missing[0]!r}; name lanes of this net")
 
 
 def _merge_lanes(world: Sumo, road: RoadFrame, scenario: Scenario) -> MergeLanes | None:

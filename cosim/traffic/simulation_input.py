@@ -8,6 +8,7 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from cosim.perturb.traffic_demand import perturbed_traffic
+from cosim.spec.demand import Bottleneck
 from cosim.spec.scenario import Replay, Scenario
 from cosim.spec.sumo_configuration import configuration
 from cosim.spec.work import refuse_too_much
@@ -49,6 +50,8 @@ class SimulationInput:
     end: float
     """Time [s] until which there is traffic: the end of the demand, or of the recording where that ends earlier."""
     friction: float | None = None
+    bottleneck: Bottleneck | None = None
+    """The bottleneck, if its limits move while the simulation runs."""
 
     def write(self) -> None:
         """Write the files that SUMO reads besides the net and the user's own files."""
@@ -84,6 +87,7 @@ def prepare_simulation(scenario: Scenario, files: SumoFiles, duration: float) ->
         tracks=tracks,
         end=min(end_of_demand, end_of_recording),
         friction=traffic.friction,
+        bottleneck=traffic.bottleneck if traffic.bottleneck is not None and traffic.bottleneck.moves else None,
     )
 
 

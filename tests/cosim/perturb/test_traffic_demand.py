@@ -4,6 +4,7 @@ import msgspec
 import pytest
 
 from cosim.perturb.traffic_demand import driver_shares, mean_spacing, perturbed_traffic
+from cosim.spec.demand import Hold
 from cosim.spec.loading import load_scenario, override
 from cosim.spec.perturbations import (
     KINDS,
@@ -72,6 +73,18 @@ def test_the_road_fills_with_as_many_vehicles_as_it_is_to_have():
     more = sum((factor - last) * rate / 12 for factor, rate in zip(factors, demand, strict=True))
     assert more == pytest.approx(3 * 0.505 * 0.25 * 8208 / (3.6 * 0.78 * 9.5))
     assert last < factors[0] < 1
+
+
+def test_a_held_speed_becomes_that_of_the_denser_traffic(scenario):
+    """Third interval, as above: the flow is 0.973 of before and the density 1.2, so the speed is 0.973/1.2."""
+    hold = Hold(edges=("entry",), mean_speed=(13.0, 13.0, 12.0))
+    bottleneck = msgspec.structs.replace(scenario.traffic.bottleneck, hold=hold)
+    held = msgspec.structs.replace(scenario, traffic=msgspec.structs.replace(scenario.traffic, bottleneck=bottleneck))
+    found = under(held, DenserTraffic(intensity=1.2)).traffic.bottleneck
+    assert found is not None
+    assert found.hold is not None
+    assert found.hold.mean_speed[2] == pytest.approx(0.973 / 1.2 * 12.0, rel=2e-3)
+    assert len(found.hold.mean_speed) == len(found.limits)  # one per interval, as the limits differ
 
 
 def test_after_the_warm_up_the_demand_is_lower_however_short_the_lists_are(scenario):

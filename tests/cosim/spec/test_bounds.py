@@ -134,3 +134,22 @@ def test_all_but_the_leader_are_driven(size):
 def test_sizes_of_groups_are_checked(scenario, changes, message):
     with pytest.raises(InputError, match=message):
         override(load_scenario(scenario), changes)
+
+
+HELD = {"edges": ["entry"], "mean_speed": [11.0]}
+
+
+@pytest.mark.parametrize(
+    ("bottleneck", "more", "message"),
+    [
+        ({"hold": {**HELD, "delay": 17.0}}, {}, r"horizon and watch last 18 s together, expected at most the delay"),
+        ({"hold": HELD}, {"share": 0.2}, "would undo what a share changes"),
+        ({"pulses": {"lanes": ["exit_0"]}}, {}, r"pulses.lanes has 'exit_0', expected lanes of the bottleneck"),
+        ({"fluctuation": {"sd": 0.1, "lane_sd": {"exit_0": 0.2}}}, {}, "fluctuation.lane_sd has 'exit_0'"),
+    ],
+)
+def test_moving_limits_that_do_not_fit_the_rest_are_refused(bottleneck, more, message):
+    content = msgspec.to_builtins(load_scenario(US101)) | more
+    content["traffic"]["bottleneck"].update(bottleneck)
+    with pytest.raises(msgspec.ValidationError, match=message):
+        msgspec.convert(content, Scenario)

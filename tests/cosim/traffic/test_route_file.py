@@ -45,6 +45,16 @@ def test_shares_and_drivers_are_as_described(routes):
     assert all(t.get("sigma") == "0.3" for t in routes.iter("vType"))
 
 
+def test_drivers_may_be_careless_for_longer_and_follow_no_closer_than_a_least_headway(scenario):
+    (car, *_) = scenario.traffic.vehicles
+    lively = msgspec.structs.replace(car, imperfection_step=1.0, tau_cv=1.0, tau_min=0.5)
+    traffic = msgspec.structs.replace(scenario.traffic, vehicles=(lively, *scenario.traffic.vehicles[1:]))
+    types = [*ElementTree.fromstring(route_file(traffic, seed=1, end=1.0)).iter("vType")]
+    assert {t.get("sigmaStep") for t in types if t.get("id").startswith("car")} == {"1"}
+    assert {t.get("sigmaStep") for t in types if t.get("id").startswith("truck")} == {None}
+    assert min(float(t.get("tau")) for t in types) == 0.5
+
+
 def test_same_seed_same_text_other_seed_other_text(scenario):
     text = route_file(scenario.traffic, seed=1, end=100.0)
     assert route_file(scenario.traffic, seed=1, end=100.0) == text
