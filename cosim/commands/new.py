@@ -1,12 +1,17 @@
 """`cosim new`: a scenario for SUMO files of the user."""
 
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from gri.errors import InputError
-from gri.terminal import ProgressDisplay, next_command, say
+from gri.terminal import ProgressDisplay, ShowProgress, next_command, say
+
+if TYPE_CHECKING:
+    from cosim.proposals.propose import Proposals
+
+TRIAL = 180.0  # [s] of traffic after the warm-up
 
 
 def new(
@@ -21,14 +26,13 @@ def new(
     """Propose a scenario for your own SUMO files, and draw its road.
 
     The command runs your traffic for some minutes and looks which road most
-    vehicles use and where lanes end. It writes a scenario that runs, a picture of
-    the road, and says how many groups the traffic has.
+    vehicles use, where lanes end and how fast vehicles are. It counts the groups
+    of every rule that fits the road, writes the scenario that has some, and a
+    picture of the road.
     """
     from cosim.process.worker_process import run_in_worker
     from cosim.proposals.picture import draw_road
-    from cosim.proposals.propose import proposal
-    from cosim.proposals.scenario_file import merging_lane
-    from cosim.spec.loading import load_scenario, override
+    from cosim.proposals.propose import proposals
 
     path = out or sumocfg.with_suffix(".yaml")
     if path.exists():
@@ -39,15 +43,15 @@ def new(
     try:
         with ProgressDisplay() as progress:
             use = run_in_worker("cosim.proposals.propose:observe", sumocfg, seconds, 0.2, log=log, tell=progress)
-            made = proposal(sumocfg, path.parent, use, rule)
-            path.write_text(made.text, encoding="utf-8")
-            scenario = load_scenario(str(path))
-            trial = override(scenario, {"policy": {"kind": "sumo"}, "episodes": 10, "time_limit": 180.0})
-            groups = run_in_worker("cosim.proposals.propose:count_groups", trial, log=log, tell=progress)
+            made = proposals(sumocfg, path.parent, use, rule)
+            counts = _count(made, path, log, progress)
     finally:
         log.unlink(missing_ok=True)
+    best = max(counts, key=lambda k: (counts[k] > 0, -k))
+    chosen = made.each[best]
+    path.write_text(chosen.text, encoding="utf-8")
     picture = path.with_suffix(".png")
-    draw_road(made.net, made.road, merging_lane(made.road) if made.rule == "merge" else None, picture)
+    draw_road(made.net, made.road, chosen.choice, picture)
     road = made.road
     say(f"Main road: {' → '.join(road.edges)}, {road.length:.0f} m, {road.vehicles} vehicles in {seconds:g} s.")
     for lane in road.ending:
@@ -56,8 +60,33 @@ def new(
         say(f"Lane {lane.lane} {goes} on the {lane.side} at s = {lane.end:g} m{fed}.")
     for option, value in made.given.replaced.items():
         say(f"Your {option} = {value} is replaced by the coupling's (docs/own-scenarios.md).")
-    if made.use.waiting:
-        say(f"{made.use.waiting} vehicles wait for room to enter the net after {seconds:g} s.")
-    say(f"{made.rule.replace('_', ' ')}: {groups} groups found within 180 s after the warm-up (10 are enough).")
+    if use.waiting:
+        say(f"{use.waiting} vehicles wait for room to enter the net after {seconds:g} s.")
+    for k, count in counts.items():
+        choice = made.each[k].choice
+        where = f" from {choice.lane.lane}" if choice.lane else ""
+        taken = ", chosen" if k == best and len(counts) > 1 else ""
+        say(f"{choice.rule.replace('_', ' ')}{where}: {count} groups found within {TRIAL:g} s{taken}.")
+    if counts[best] == 0:
+        say("Nothing fits as it is. `cosim run` says which limit of the rule fails how often.")
     say(f"Scenario: {path}\nPicture: {picture}")
     next_command(f"cosim run {path}")
+
+
+def _count(made: "Proposals", path: Path, log: Path, progress: ShowProgress) -> dict[int, int]:
+    """How many groups the traffic has for each proposal, up to the first one that has some."""
+    from cosim.process.worker_process import run_in_worker
+    from cosim.spec.loading import load_scenario, override
+
+    counts: dict[int, int] = {}
+    for k, proposal in enumerate(made.each):
+        path.write_text(proposal.text, encoding="utf-8")
+        try:
+            scenario = load_scenario(str(path))
+        finally:
+            path.unlink()
+        trial = override(scenario, {"policy": {"kind": "sumo"}, "episodes": 10, "time_limit": TRIAL})
+        counts[k] = run_in_worker("cosim.proposals.propose:count_groups", trial, log=log, tell=progress)
+        if counts[k]:
+            break
+    return counts

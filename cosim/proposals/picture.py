@@ -7,18 +7,19 @@ import matplotlib
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-from cosim.proposals.main_road import EndingLane, MainRoad
+from cosim.proposals.main_road import MainRoad
 from cosim.proposals.net_file import NetLanes
+from cosim.proposals.scenario_file import Choice
 
 GREY, BLUE, ORANGE = "0.75", "#1f5fbf", "#d9730d"
 
 
-def draw_road(net: NetLanes, road: MainRoad, lane: EndingLane | None, path: Path) -> None:
+def draw_road(net: NetLanes, road: MainRoad, choice: Choice, path: Path) -> None:
     """Draw the net in grey, the main road in blue, the ending lane in orange, and write a PNG file."""
     figure, axes = plt.subplots(figsize=(9, 4.5), layout="constrained")
     for of_net in net.lanes.values():
         on_road = of_net.edge in road.edges
-        ends = lane is not None and of_net.id == lane.lane
+        ends = choice.lane is not None and of_net.id == choice.lane.lane
         x, y = zip(*of_net.shape, strict=True)
         style = {"color": ORANGE if ends else BLUE if on_road else GREY, "lw": 2.5 if ends else 1.5 if on_road else 0.8}
         axes.plot(x, y, ls="--" if ends else "-", **style)
@@ -31,13 +32,14 @@ def draw_road(net: NetLanes, road: MainRoad, lane: EndingLane | None, path: Path
     start = net.lanes[net.of_edge[road.edges[0]][-1]].shape[0]
     axes.plot(*start, "o", color=BLUE)
     axes.annotate("s = 0", start, xytext=(0, -14), textcoords="offset points", fontsize=8)
-    axes.set(xlabel="x [m]", ylabel="y [m]", title=_title(lane))
+    axes.set(xlabel="x [m]", ylabel="y [m]", title=_title(choice))
     axes.set_aspect("equal", adjustable="datalim")
     figure.savefig(path, dpi=150)
     plt.close(figure)
 
 
-def _title(lane: EndingLane | None) -> str:
-    if lane is None:
+def _title(choice: Choice) -> str:
+    if choice.lane is None:
         return "Main road (blue)"
-    return f"Main road (blue); lane {lane.lane} ends (orange); take-over at s = {lane.zone[0]} to {lane.zone[1]} m"
+    begin, end = choice.zone
+    return f"Main road (blue); lane {choice.lane.lane} ends (orange); take-over at s = {begin} to {end} m"

@@ -1,4 +1,4 @@
-"""Propose a scenario for a SUMO configuration: look at its net and its traffic, then write the file."""
+"""Propose scenarios for a SUMO configuration: look at its net and its traffic, then write the files."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from cosim.loop.closed_loop import run
 from cosim.proposals.main_road import MainRoad, main_road
 from cosim.proposals.net_file import NetLanes, read_net_lanes
 from cosim.proposals.placed_road import placed
-from cosim.proposals.scenario_file import merging_lane, scenario_text
+from cosim.proposals.scenario_file import Choice, choices, scenario_text
 from cosim.spec.demand import Traffic
 from cosim.spec.input_files import find_net
 from cosim.spec.scenario import CarFollowing, LeftToSumo, Road, Scenario
@@ -27,11 +27,17 @@ class Proposal:
     """A proposed scenario: its text, and what it was made from."""
 
     text: str
+    choice: Choice
+
+
+@dataclass(frozen=True)
+class Proposals:
+    """Scenarios that fit a configuration, the one to be preferred first, and what they were made from."""
+
+    each: tuple[Proposal, ...]
     net: NetLanes
     road: MainRoad
-    use: NetUse
     given: Configuration
-    rule: str
 
 
 def observe(path: Path, seconds: float, step: float, tell: Tell) -> NetUse:
@@ -57,8 +63,8 @@ def observe(path: Path, seconds: float, step: float, tell: Tell) -> NetUse:
             return observe_net_use(world, steps, step, tell)
 
 
-def proposal(path: Path, beside: Path, use: NetUse, rule: str | None) -> Proposal:
-    """A scenario file that lies in the folder `beside`. `rule` is car_following, merge, or None to choose.
+def proposals(path: Path, beside: Path, use: NetUse, rule: str | None) -> Proposals:
+    """Scenario files that lie in the folder `beside`. `rule` is car_following, merge, or None for both.
 
     Raises `InputError` if there is no road, or no lane on which vehicles could merge although `rule` says merge.
     """
@@ -66,16 +72,21 @@ def proposal(path: Path, beside: Path, use: NetUse, rule: str | None) -> Proposa
     assert given.net is not None, "the traffic was observed on a net"
     net = read_net_lanes(given.net)
     road = placed(main_road(net, use.routes), given.net)
-    lane = None if rule == "car_following" else merging_lane(road)
-    if rule == "merge" and lane is None:
+    fitting = [choice for choice in choices(road, use) if rule in (None, choice.rule)]
+    if not fitting:
         raise InputError(
-            f"{path}: no lane that is fed by a ramp ends on the main road, and no ramp joins {' '.join(road.edges)};"
-            " wanted one for --rule merge. Use --rule car_following"
+            f"{path}: no lane ends on the main road, and no ramp joins {' '.join(road.edges)}; wanted one for --rule"
+            " merge. Use --rule car_following"
         )
-    name = Path(path).resolve()
-    folder = beside.resolve()
-    text = scenario_text(str(name.relative_to(folder) if name.is_relative_to(folder) else name), road, use, lane)
-    return Proposal(text, net, road, use, given, "car_following" if lane is None else "merge")
+    name, folder = Path(path).resolve(), beside.resolve()
+    written = str(name.relative_to(folder) if name.is_relative_to(folder) else name)
+    demand = None if given.end is None else given.end - given.begin
+    return Proposals(
+        tuple(Proposal(scenario_text(written, road, use, choice, demand), choice) for choice in fitting),
+        net,
+        road,
+        given,
+    )
 
 
 def count_groups(scenario: Scenario, tell: Tell) -> int:

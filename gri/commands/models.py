@@ -1,6 +1,7 @@
 """The commands about models: make scenes, train, evaluate."""
 
 from collections.abc import Mapping
+from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -11,7 +12,7 @@ from gri import resources
 from gri.errors import InputError
 from gri.storage.verification import check_own_digest
 from gri.table import Table
-from gri.terminal import FormatOption, ProgressDisplay, next_command, say, show_tables
+from gri.terminal import FormatOption, ProgressDisplay, next_command, notice, say, show_tables
 
 if TYPE_CHECKING:
     from gri.data.store import Splits
@@ -23,6 +24,15 @@ ConfigArgument = Annotated[
 ]
 ScenesOption = Annotated[Path, typer.Option("--scenes", help="Folder of the synthetic scenes.")]
 SCENES = Path("runs/scenes")
+
+
+class Tracker(StrEnum):
+    """Where the course of a training is written."""
+
+    CSV = "csv"
+    TENSORBOARD = "tensorboard"
+
+
 REMAKE = "make it again with `cosim scenes` or `gri ngsim scenes`"
 
 
@@ -65,19 +75,43 @@ def train(
             " ngsim_* and sumo_*.",
         ),
     ] = None,
+    track: Annotated[
+        list[Tracker] | None,
+        typer.Option(help="Write the objective after every update beside the checkpoint; repeat for both."),
+    ] = None,
 ) -> None:
-    """Train a model and write its checkpoint."""
+    """Train a model and write its checkpoint.
+
+    Ctrl-C stops the training after the update under way. The same command goes on
+    from there; the result is the same as without a stop.
+    """
     chosen = _read(config)
     from gri import checkpoint
     from gri.storage.claims import claimed_place
+    from gri.training.tracking import remove_tracks, tracked
     from gri.training.train import train as train_model
+    from gri.training.training_state import TrainingState, identity
 
     path = out or Path("runs") / f"{chosen.name}-s{seed}.safetensors"
     with claimed_place(path):
         splits = _scenes(chosen, scenes) if ngsim is None else _recorded(chosen, ngsim, scenes)
-        with ProgressDisplay() as progress:
-            trained = train_model(chosen, splits, seed, progress)
+        state = TrainingState(path.with_suffix(".state"), identity(chosen, seed, splits.train))
+        if state.at:
+            say(f"going on after {state.at}")
+        elif track:
+            remove_tracks(path)
+        try:
+            with (
+                ProgressDisplay() as shown,
+                tracked(shown, [kind.value for kind in track or ()], path) as progress,
+                state.stoppable(),
+            ):
+                trained = train_model(chosen, splits, seed, progress, state)
+        except KeyboardInterrupt:
+            notice(f"stopped; run the same command again to go on (kept in {state.path})")
+            raise typer.Exit(130) from None
         checkpoint.save(path, trained.model, trained.reward, trained.provenance)
+        state.finish()
     say(f"trained in {trained.provenance['seconds']} s, wrote {path}")
     next_command(f"gri evaluate {path}")
 

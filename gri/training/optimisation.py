@@ -1,7 +1,7 @@
 """Batches, losses and the optimiser, which all objectives share."""
 
-from collections.abc import Iterable, Iterator, Sequence
-from typing import Literal
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, Literal
 
 import msgspec
 import torch
@@ -18,12 +18,16 @@ def batches(
 
     `weight` gives relative probabilities; None: all scenes are equally probable.
     """
-    size = min(size, scenes)
     for _ in range(updates):
-        if weight is None:
-            yield torch.randint(0, scenes, (size,), generator=generator)
-        else:
-            yield torch.multinomial(weight, size, replacement=True, generator=generator)
+        yield draw_batch(scenes, size, generator, weight)
+
+
+def draw_batch(scenes: int, size: int, generator: torch.Generator, weight: Float[Tensor, " S"] | None = None) -> Tensor:
+    """The indices of one batch, as `batches` draws them."""
+    size = min(size, scenes)
+    if weight is None:
+        return torch.randint(0, scenes, (size,), generator=generator)
+    return torch.multinomial(weight, size, replacement=True, generator=generator)
 
 
 def reconstruction_loss(
@@ -130,3 +134,32 @@ class Descent:
         if not self._skipped:
             self.optimiser.step()
             self.schedule.step()
+
+    def state(self) -> tuple[dict[str, Tensor], dict[str, Any]]:
+        """Copies of all that later updates depend on, as tensors and numbers."""
+        tensors = {f"parameter.{k}": p.detach().clone().contiguous() for k, p in enumerate(self.parameters)}
+        optimiser, schedule = self.optimiser.state_dict(), self.schedule.state_dict()
+        for k, of in optimiser["state"].items():
+            tensors |= {f"adam.{k}.{name}": value.clone().contiguous() for name, value in of.items()}
+        numbers = {"rate": optimiser["param_groups"][0]["lr"], "skipped": self._skipped}
+        return tensors, numbers | {"schedule": {name: schedule[name] for name in _OF_SCHEDULE}}
+
+    def restore(self, tensors: Mapping[str, Tensor], numbers: Mapping[str, Any]) -> None:
+        """Take over what `state` gave, of a descent on parameters of the same shapes."""
+        with torch.no_grad():
+            for k, parameter in enumerate(self.parameters):
+                parameter.copy_(tensors[f"parameter.{k}"])
+        optimiser, self._skipped = self.optimiser.state_dict(), numbers["skipped"]
+        of_parameters: dict[int, dict[str, Tensor]] = {}
+        for name, value in tensors.items():
+            kind, _, rest = name.partition(".")
+            if kind == "adam":
+                k, _, of = rest.partition(".")
+                of_parameters.setdefault(int(k), {})[of] = value.clone()
+        optimiser["state"] = of_parameters
+        optimiser["param_groups"][0]["lr"] = numbers["rate"]
+        self.optimiser.load_state_dict(optimiser)
+        self.schedule.load_state_dict(self.schedule.state_dict() | dict(numbers["schedule"]))
+
+
+_OF_SCHEDULE = ("last_epoch", "_step_count", "_last_lr")  # what changes in the state of the schedule

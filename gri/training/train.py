@@ -32,6 +32,7 @@ from gri.training.grounded.labelled_encoder import LabelledEncoderSettings, trai
 from gri.training.grounded.recorded_traffic import RecordedSettings, recorded_prior, train_recorded
 from gri.training.grounded.settings import GroundedSettings
 from gri.training.grounded.train_grounded import train_grounded
+from gri.training.training_state import TrainingState
 
 Objective = (
     GroundedSettings
@@ -128,10 +129,16 @@ def _uniform_graph(vehicles: int) -> tuple[Edge, ...]:
     return tuple(Edge(sender=i, receiver=j, type=EdgeType.FOLLOW) for i, j in pairs(vehicles))
 
 
-def train(config: TrainConfig, splits: Splits, seed: int, progress: Progress = no_progress) -> Trained:
+def train(
+    config: TrainConfig,
+    splits: Splits,
+    seed: int,
+    progress: Progress = no_progress,
+    state: TrainingState | None = None,
+) -> Trained:
     """Train a new model. The same configuration, scenes, seed and versions give the same model.
 
-    `progress` is called after every update.
+    `progress` is called after every update. With `state`, the training goes on where that one was stopped.
     """
     started = time.monotonic(), time.process_time()
     torch.manual_seed(seed)
@@ -140,29 +147,31 @@ def train(config: TrainConfig, splits: Splits, seed: int, progress: Progress = n
     reward: StructuredReward | None = None
     match config.objective:
         case SupervisedSettings() as settings:
-            train_supervised(model, splits.train, settings, seed, progress)
+            train_supervised(model, splits.train, settings, seed, progress, state=state)
         case GroundedSettings() as settings:
             reward = StructuredReward(learner_reward(config))
-            train_grounded(model, reward, splits.train, settings, seed, progress)
+            train_grounded(model, reward, splits.train, settings, seed, progress, state=state)
         case RecordedSettings() as settings:
             reward = StructuredReward(learner_reward(config))
-            train_recorded(model, reward, splits.train, settings, seed, progress)
+            train_recorded(model, reward, splits.train, settings, seed, progress, state=state)
         case LabelledEncoderSettings() as settings:
             reward = StructuredReward(learner_reward(config))
-            train_labelled_encoder(model, reward, splits.train, settings, seed, progress)
+            train_labelled_encoder(model, reward, splits.train, settings, seed, progress, state=state)
         case NriSettings() as settings:
             priors = _structured_prior(config, settings, splits.train) if settings.structured_prior else None
-            train_nri(model, splits.train, settings, seed, progress, priors)
+            train_nri(model, splits.train, settings, seed, progress, priors, state)
         case AdversarialSettings(rewards="networks") as settings:
             networks = NetworkReward(scenes.scale, model.config.vocabulary)
             shaped, planning = ShapedReward(networks, scenes.scale), StructuredReward(learner_reward(config))
-            train_adversarial(model, shaped, splits.train, settings, seed, progress, planning)
+            train_adversarial(model, shaped, splits.train, settings, seed, progress, planning, state)
         case AdversarialSettings() as settings:
             reward = StructuredReward.with_weights(
                 with_fixed_rationality(learner_reward(config)), settings.weights or {}
             )
-            train_adversarial(model, ShapedReward(reward, scenes.scale), splits.train, settings, seed, progress)
-    return Trained(model.requires_grad_(False).eval(), reward, _provenance(config, seed, started, model, splits))
+            train_adversarial(
+                model, ShapedReward(reward, scenes.scale), splits.train, settings, seed, progress, state=state
+            )
+    return Trained(model.requires_grad_(False).eval(), reward, _provenance(config, seed, started, model, splits, state))
 
 
 def _structured_prior(config: TrainConfig, settings: NriSettings, scenes: Scenes) -> Float[Tensor, "S E K"]:
@@ -172,13 +181,19 @@ def _structured_prior(config: TrainConfig, settings: NriSettings, scenes: Scenes
 
 
 def _provenance(
-    config: TrainConfig, seed: int, started: tuple[float, float], model: RelationalModel, splits: Splits
+    config: TrainConfig,
+    seed: int,
+    started: tuple[float, float],
+    model: RelationalModel,
+    splits: Splits,
+    state: TrainingState | None,
 ) -> dict[str, Any]:
+    before = state.spent if state else (0.0, 0.0)
     return {
         "config": msgspec.to_builtins(config),
         "seed": seed,
-        "seconds": round(time.monotonic() - started[0], 1),
-        "cpu_seconds": round(time.process_time() - started[1], 1),
+        "seconds": round(before[0] + time.monotonic() - started[0], 1),
+        "cpu_seconds": round(before[1] + time.process_time() - started[1], 1),
         "versions": {"gri-cosim": version("gri-cosim"), "torch": str(torch.__version__)},
         "validation": msgspec.to_builtins(evaluate(model, splits.validation)),
     }

@@ -36,7 +36,8 @@ from gri.training.adversarial.discriminator import (
     shaped_reward,
 )
 from gri.training.grounded.planned_start import PlanSettings, plan_by_imitation
-from gri.training.optimisation import Bottleneck, Descent, batches, categorical_kl, updated_beta
+from gri.training.optimisation import Bottleneck, Descent, batches, categorical_kl, draw_batch, updated_beta
+from gri.training.training_state import TrainingState, no_state
 
 
 class PlannedStart(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -136,6 +137,7 @@ def train_adversarial(
     seed: int,
     progress: Progress = no_progress,
     planning: StructuredReward | None = None,
+    state: TrainingState | None = None,
 ) -> None:
     """Train the model and the reward in place. Encoder and reward are updated in turn with the policy.
 
@@ -146,11 +148,14 @@ def train_adversarial(
     learned = [p for name, p in reward.named_parameters() if not name.endswith("log_alpha")]
     inner = settings.updates * settings.reward_updates
     if settings.start is not None:
-        pretrain(model, reward, scenes, settings, settings.start, generator, progress, planning)
+        pretrain(model, reward, scenes, settings, settings.start, generator, progress, planning, state)
     encoder = EncoderUpdates(model, settings, settings.encoder_rate, inner) if model.encoder else None
     reward_descent = Descent(learned, settings.reward_rate, inner)
     policy_descent = Descent(model.decoder.parameters(), settings.policy_rate, settings.updates, settings.policy_clip)
-    for update in range(settings.updates):
+    descents = [reward_descent, policy_descent, *([encoder.descent] if encoder else [])]
+    memory = encoder.memory if encoder else {}
+    stage = "encoder, reward and policy"
+    for update in (state or no_state()).updates(stage, settings.updates, generator, *descents, memory=memory):
         for chosen in batches(len(scenes), settings.batch, settings.reward_updates, generator):
             batch = scenes[chosen]
             graph = model.infer(batch.observed)
@@ -162,7 +167,7 @@ def train_adversarial(
         batch = scenes[torch.randint(0, len(scenes), (settings.batch,), generator=generator)]
         value = policy_objective(model, reward, batch, model.infer(batch.observed), settings, generator)
         policy_descent.step(-value)
-        progress("encoder, reward and policy", update + 1, settings.updates, float(value.detach()))
+        progress(stage, update + 1, settings.updates, float(value.detach()))
 
 
 def pretrain(
@@ -174,17 +179,19 @@ def pretrain(
     generator: torch.Generator,
     progress: Progress = no_progress,
     planning: StructuredReward | None = None,
+    state: TrainingState | None = None,
 ) -> None:
     """Pretrain policy and encoder in place. The rewards stay unchanged."""
     planning = reward.reward if planning is None and isinstance(reward.reward, StructuredReward) else planning
     assert planning is not None, "got a reward of networks; planning needs a semantic one"
-    plan_by_imitation(model, planning, scenes, start.plan, generator, progress)
+    plan_by_imitation(model, planning, scenes, start.plan, generator, progress, state)
     if model.encoder is None:
         return
     encoder = EncoderUpdates(model, settings, start.encoder_rate, start.encoder_updates)
     total = start.encoder_updates
-    for update, chosen in enumerate(batches(len(scenes), settings.batch, total, generator)):
-        batch = scenes[chosen]
+    updates = (state or no_state()).updates("encoder", total, generator, encoder.descent, memory=encoder.memory)
+    for update in updates:
+        batch = scenes[draw_batch(len(scenes), settings.batch, generator)]
         graph = model.infer(batch.observed)
         z = graph.sample(generator)
         loss = encoder.update(reward, batch, graph, z, discriminate(model, reward, batch, z.detach(), generator))
@@ -196,7 +203,7 @@ class EncoderUpdates:
 
     def __init__(self, model: RelationalModel, settings: AdversarialSettings, rate: float, updates: int) -> None:
         assert model.encoder is not None, "got a model without an encoder; its relations are given"
-        self.settings, self.beta = settings, 0.0
+        self.settings, self.memory = settings, {"beta": 0.0}
         self.prior = edge_prior(len(model.config.vocabulary), settings.bottleneck.no_edge_prior)
         self.descent = Descent(model.encoder.parameters(), rate, updates)
 
@@ -210,9 +217,9 @@ class EncoderUpdates:
     ) -> float:
         """One update from a batch, its inferred graphs, and the samples z of these. Returns the loss."""
         kl = categorical_kl(graph.logits, self.prior).mean()
-        self.beta = updated_beta(self.beta, float(kl.detach()), self.settings.bottleneck)
+        beta = self.memory["beta"] = updated_beta(self.memory["beta"], float(kl.detach()), self.settings.bottleneck)
         gradient = encoder_gradient(reward, batch, discriminated, self.settings)
-        loss = (z * gradient).sum((1, 2)).mean() + z.shape[1] * self.beta * kl
+        loss = (z * gradient).sum((1, 2)).mean() + z.shape[1] * beta * kl
         loss = loss + self.settings.logit_penalty * squared_logit_differences(graph.logits)
         self.descent.step(loss)
         return float(loss.detach())

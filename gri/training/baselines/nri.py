@@ -21,11 +21,12 @@ from gri.training.optimisation import (
     Bottleneck,
     Descent,
     action_error,
-    batches,
     categorical_kl,
+    draw_batch,
     reconstruction_loss,
     updated_beta,
 )
+from gri.training.training_state import TrainingState, no_state
 
 
 class NriSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="nri"):
@@ -54,6 +55,7 @@ def train_nri(
     seed: int,
     progress: Progress = no_progress,
     scene_priors: Float[Tensor, "S E K"] | None = None,
+    state: TrainingState | None = None,
 ) -> None:
     """Train the model in place. It must have an encoder. `scene_priors` take the place of the sparse prior."""
     assert model.encoder is not None, "got a model without an encoder; NRI infers graphs and needs one"
@@ -63,8 +65,10 @@ def train_nri(
     policy = [p for p in model.decoder.parameters() if p.requires_grad]
     policy_descent = Descent(policy, settings.policy_rate, settings.updates)
     prior = edge_prior(len(model.config.vocabulary), settings.bottleneck.no_edge_prior)
-    beta = 0.0
-    for update, chosen in enumerate(batches(len(scenes), settings.batch, settings.updates, generator)):
+    memory, descents = {"beta": 0.0}, (encoder_descent, policy_descent)
+    updates = (state or no_state()).updates("encoder and policy", settings.updates, generator, *descents, memory=memory)
+    for update in updates:
+        chosen = draw_batch(len(scenes), settings.batch, generator)
         batch = scenes[chosen]
         graph = model.infer(batch.observed)
         driven = rollout(model, batch.start, graph.sample(generator, settings.temperature), batch.leader)
@@ -74,8 +78,8 @@ def train_nri(
                 driven.action, batch.action, model.decoder.action_unit
             )
         kl = categorical_kl(graph.logits, prior if scene_priors is None else scene_priors[chosen]).mean()
-        beta = updated_beta(beta, float(kl.detach()), settings.bottleneck)
-        loss = error + beta * kl
+        memory["beta"] = updated_beta(memory["beta"], float(kl.detach()), settings.bottleneck)
+        loss = error + memory["beta"] * kl
         gradients = encoder_descent.gradients(loss, retain_graph=True)
         policy_descent.step(loss)
         encoder_descent.apply(gradients)

@@ -7,7 +7,8 @@ from gri.core.scenes import Scenes
 from gri.networks.model import RelationalModel
 from gri.networks.rollout import rollout
 from gri.progress import Progress, no_progress
-from gri.training.optimisation import Descent, action_error, batches, reconstruction_loss
+from gri.training.optimisation import Descent, action_error, draw_batch, reconstruction_loss
+from gri.training.training_state import TrainingState, no_state
 
 
 class SupervisedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="supervised"):
@@ -26,13 +27,14 @@ def train_supervised(
     settings: SupervisedSettings,
     seed: int,
     progress: Progress = no_progress,
+    state: TrainingState | None = None,
 ) -> None:
     """Train the model's decoder in place, under the true graphs of the scenes."""
     generator = torch.Generator().manual_seed(seed)
     descent = Descent(model.decoder.parameters(), settings.learning_rate, settings.updates)
     types = len(model.config.vocabulary)
-    for update, chosen in enumerate(batches(len(scenes), settings.batch, settings.updates, generator)):
-        batch = scenes[chosen]
+    for update in (state or no_state()).updates("policy", settings.updates, generator, descent):
+        batch = scenes[draw_batch(len(scenes), settings.batch, generator)]
         driven = rollout(model, batch.start, batch.one_hot(types), batch.leader)
         loss = reconstruction_loss(driven.state, batch.state, model.dynamics)
         if settings.action_weight:

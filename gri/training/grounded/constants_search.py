@@ -22,7 +22,8 @@ from gri.planning.edge_posterior import combination_prior, scene_prior
 from gri.planning.riccati_likelihood import expand_steps, log_likelihood_by_steps
 from gri.progress import Progress, no_progress
 from gri.rewards.structured import StructuredReward
-from gri.training.optimisation import Descent, batches
+from gri.training.optimisation import Descent, draw_batch
+from gri.training.training_state import TrainingState, no_state
 
 
 class ConstantsSearch(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -63,6 +64,7 @@ def search_constants(
     no_edge_prior: float,
     generator: torch.Generator,
     progress: Progress = no_progress,
+    state: TrainingState | None = None,
 ) -> None:
     """Learn the constants, the weights and the rationality of the reward in place.
 
@@ -75,13 +77,15 @@ def search_constants(
 
     def improved(start: LearnedReward, updates: int) -> LearnedReward:
         nonlocal done
+        before = done
         reward.load_state_dict(start.parameters)
         descent = Descent(reward.parameters(), search.rate, updates)
-        for chosen in batches(len(scenes), search.batch, updates, generator):
+        for update in (state or no_state()).updates("constants", updates, generator, descent):
+            chosen = draw_batch(len(scenes), search.batch, generator)
             gained = evidence(model, reward, scenes[chosen], no_edge_prior, learn=True).mean()
             descent.step(_penalty(reward, search, weight_prior, len(scenes)) - gained)
-            done += 1
-            progress("constants", done, total, float(gained.detach()))
+            progress("constants", before + update + 1, total, float(gained.detach()))
+        done = before + updates
         return _reached(model, reward, scenes, no_edge_prior)
 
     for kept, updates in search.rounds:

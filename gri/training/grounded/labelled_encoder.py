@@ -17,6 +17,7 @@ from gri.rewards.structured import StructuredReward
 from gri.training.grounded.reward_likelihood import fit_reward
 from gri.training.grounded.settings import GroundedSettings
 from gri.training.grounded.train_grounded import fit_encoder_and_policy, plan_policy
+from gri.training.training_state import TrainingState
 
 
 class LabelledEncoderSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="gri_told"):
@@ -37,6 +38,7 @@ def train_labelled_encoder(
     settings: LabelledEncoderSettings,
     seed: int,
     progress: Progress = no_progress,
+    state: TrainingState | None = None,
 ) -> None:
     """Train the model and the reward in place. The model must have an encoder.
 
@@ -46,11 +48,11 @@ def train_labelled_encoder(
     if settings.start is not None:
         load_driver(model, reward, settings.start)
     else:
-        fit_reward(model, reward, scenes, grounded, generator, progress)
+        fit_reward(model, reward, scenes, grounded, generator, progress, state)
         if grounded.optima is not None:
-            plan_policy(model, reward, scenes, grounded, generator, progress)
+            plan_policy(model, reward, scenes, grounded, generator, progress, state)
     labels = scenes.one_hot(len(model.config.vocabulary))
-    fit_encoder_and_policy(model, reward, scenes, labels, grounded, generator, progress)
+    fit_encoder_and_policy(model, reward, scenes, labels, grounded, generator, progress, state=state)
 
 
 def load_driver(model: RelationalModel, reward: StructuredReward, start: str) -> None:

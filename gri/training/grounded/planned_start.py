@@ -11,7 +11,8 @@ from gri.training.grounded.augmentation import Shifts
 from gri.training.grounded.optimal_scenes import OptimaSettings, distance_to_optima, optimal_scenes
 from gri.training.grounded.settings import GroundedSettings
 from gri.training.grounded.train_grounded import off_data_batch, plan_policy
-from gri.training.optimisation import Descent, batches
+from gri.training.optimisation import Descent, draw_batch
+from gri.training.training_state import TrainingState, no_state
 
 
 class PlanSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -34,6 +35,7 @@ def plan_by_imitation(
     settings: PlanSettings,
     generator: torch.Generator,
     progress: Progress = no_progress,
+    state: TrainingState | None = None,
 ) -> None:
     """Train the model's policy in place. The scenes give the starts and the leader only; no demonstration is used."""
     grounded = GroundedSettings(
@@ -42,12 +44,13 @@ def plan_by_imitation(
         policy_rate=settings.rate,
         shifts=Shifts(position=(0.0, 0.0)),
     )
-    plan_policy(model, reward, scenes, grounded, generator, progress)
+    plan_policy(model, reward, scenes, grounded, generator, progress, state)
     start, leader, graph = off_data_batch(model, scenes, grounded, settings.optima.scenes, generator)
     optima = optimal_scenes(model, reward, start, leader, graph, settings.optima, progress)
     total = settings.imitation_updates
     descent = Descent(model.decoder.parameters(), settings.rate, total)
-    for update, chosen in enumerate(batches(len(optima), settings.imitation_batch, total, generator)):
+    for update in (state or no_state()).updates("plan", total, generator, descent):
+        chosen = draw_batch(len(optima), settings.imitation_batch, generator)
         loss = distance_to_optima(model, optima[chosen], grounded.optima_scale)
         descent.step(loss)
         progress("plan", update + 1, total, float(loss.detach()))

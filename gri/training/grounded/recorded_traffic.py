@@ -23,7 +23,8 @@ from gri.rewards.structured import StructuredReward
 from gri.training.grounded.policy_posterior import posterior_by_policy
 from gri.training.grounded.settings import GroundedSettings
 from gri.training.grounded.train_grounded import fit_encoder_and_policy, plan_policy
-from gri.training.optimisation import Descent, batches
+from gri.training.optimisation import Descent, draw_batch
+from gri.training.training_state import TrainingState, no_state
 
 
 class RecordedSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True, tag="gri_recorded"):
@@ -57,21 +58,22 @@ def train_recorded(
     settings: RecordedSettings,
     seed: int,
     progress: Progress = no_progress,
+    state: TrainingState | None = None,
 ) -> None:
     """Train the model and the reward in place. The model must have an encoder. Graphs of scenes are not used."""
     generator, grounded = torch.Generator().manual_seed(seed), settings.grounded
     scenes = scenes[torch.randperm(len(scenes), generator=generator)]  # a file contains one site after the other
-    fit_references(model, reward, scenes, settings, generator, progress)
+    fit_references(model, reward, scenes, settings, generator, progress, state)
     graph_scenes = scenes[: grounded.graph_scenes]
     if grounded.judge == "policy":
-        plan_policy(model, reward, scenes, grounded, generator, progress)
+        plan_policy(model, reward, scenes, grounded, generator, progress, state)
         posterior = posterior_by_policy(
             model, reward, graph_scenes, recorded_prior(reward, graph_scenes.state, settings)
         )
     else:
         posterior = recorded_posterior(model, reward, graph_scenes, settings, progress)
     weight = _scene_weights(model, graph_scenes, settings)
-    fit_encoder_and_policy(model, reward, scenes, posterior, grounded, generator, progress, weight)
+    fit_encoder_and_policy(model, reward, scenes, posterior, grounded, generator, progress, weight, state)
 
 
 def fit_references(
@@ -81,6 +83,7 @@ def fit_references(
     settings: RecordedSettings,
     generator: torch.Generator,
     progress: Progress = no_progress,
+    state: TrainingState | None = None,
 ) -> None:
     """Fit the reward's weights, α and reference networks in place: maximise Σ_j log Σ_z p(z_j)·p(u_j | z_j)."""
     total = settings.reward_updates
@@ -90,9 +93,9 @@ def fit_references(
     reward.log_alpha.data.fill_(settings.log_alpha)
     reference_descent = Descent(reward.references.parameters(), settings.reference_rate, total, clip=1.0)
     weight_descent = Descent([*reward.psi.parameters(), reward.log_alpha], settings.reward_rate, total, clip=1.0)
-    sampled = batches(len(scenes), settings.reward_batch, total, generator, _scene_weights(model, scenes, settings))
-    for update, chosen in enumerate(sampled):
-        batch = scenes[chosen]
+    weight, descents = _scene_weights(model, scenes, settings), (reference_descent, weight_descent)
+    for update in (state or no_state()).updates("reward and references", total, generator, *descents):
+        batch = scenes[draw_batch(len(scenes), settings.reward_batch, generator, weight)]
         likelihood = _likelihood(model, reward, batch, learn=True)
         prior = recorded_prior(reward, batch.state, settings)
         evidence = torch.logsumexp(likelihood + combination_prior(reward, prior, batch.action.shape[1]), -1).mean()

@@ -17,7 +17,8 @@ from gri.progress import Progress, no_progress
 from gri.rewards.structured import StructuredReward
 from gri.training.grounded.constants_search import ConstantsSearch, search_constants
 from gri.training.grounded.settings import GroundedSettings
-from gri.training.optimisation import Descent, batches
+from gri.training.optimisation import Descent, draw_batch
+from gri.training.training_state import TrainingState, no_state
 
 
 def fit_reward(
@@ -27,6 +28,7 @@ def fit_reward(
     settings: GroundedSettings,
     generator: torch.Generator,
     progress: Progress = no_progress,
+    state: TrainingState | None = None,
 ) -> None:
     """Fit the reward's weights and the rationality α in place: maximise Σ_j log Σ_z p(z_j)·p(u_j | z_j).
 
@@ -35,13 +37,14 @@ def fit_reward(
     if reward.constants is not None and settings.reward_updates:
         search = settings.constants or ConstantsSearch()
         prior = settings.reward_prior, settings.no_edge_prior
-        return search_constants(model, reward, scenes, search, *prior, generator, progress)
+        return search_constants(model, reward, scenes, search, *prior, generator, progress, state)
     chosen = torch.randperm(len(scenes), generator=generator)[: settings.reward_scenes]
     expansion = _expand(model, reward, scenes[chosen], settings)
     prior = combination_prior(reward, graph_prior(reward, scenes[chosen], settings), scenes.action.shape[1])
     descent = Descent(reward.parameters(), settings.reward_rate, settings.reward_updates)
     total = settings.reward_updates
-    for update, batch in enumerate(batches(len(chosen), settings.reward_batch, total, generator)):
+    for update in (state or no_state()).updates("reward", total, generator, descent):
+        batch = draw_batch(len(chosen), settings.reward_batch, generator)
         evidence = torch.logsumexp(_log_likelihood(reward, expansion[batch]) + prior[batch], -1).mean()
         squares = torch.cat([psi.square() for psi in reward.psi.values()]).sum()
         descent.step(settings.reward_prior * squares - evidence)

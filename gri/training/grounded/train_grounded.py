@@ -25,7 +25,8 @@ from gri.training.grounded.optimal_scenes import distance_to_optima, optimal_sce
 from gri.training.grounded.policy_posterior import posterior_by_policy
 from gri.training.grounded.reward_likelihood import fit_reward, graph_prior, scene_posterior
 from gri.training.grounded.settings import GroundedSettings
-from gri.training.optimisation import Descent, action_error, batches, reconstruction_loss
+from gri.training.optimisation import Descent, action_error, draw_batch, reconstruction_loss
+from gri.training.training_state import TrainingState, no_state
 
 
 def train_grounded(
@@ -35,18 +36,19 @@ def train_grounded(
     settings: GroundedSettings,
     seed: int,
     progress: Progress = no_progress,
+    state: TrainingState | None = None,
 ) -> None:
     """Train the model and the reward in place. The model must have an encoder. Graphs of scenes are not used."""
     generator = torch.Generator().manual_seed(seed)
-    fit_reward(model, reward, scenes, settings, generator, progress)
+    fit_reward(model, reward, scenes, settings, generator, progress, state)
     graph_scenes = scenes[: settings.graph_scenes]
     if settings.judge == "policy" or settings.optima is not None:
-        plan_policy(model, reward, scenes, settings, generator, progress)
+        plan_policy(model, reward, scenes, settings, generator, progress, state)
     if settings.judge == "policy":
         posterior = posterior_by_policy(model, reward, graph_scenes, graph_prior(reward, graph_scenes, settings))
     else:
         posterior = scene_posterior(model, reward, graph_scenes, settings, progress)
-    fit_encoder_and_policy(model, reward, scenes, posterior, settings, generator, progress)
+    fit_encoder_and_policy(model, reward, scenes, posterior, settings, generator, progress, state=state)
 
 
 def plan_policy(
@@ -56,10 +58,11 @@ def plan_policy(
     settings: GroundedSettings,
     generator: torch.Generator,
     progress: Progress = no_progress,
+    state: TrainingState | None = None,
 ) -> None:
     """Train the policy in place to maximise the reward under random graphs, before it imitates recorded scenes."""
     descent = Descent(model.decoder.parameters(), settings.policy_rate, settings.planner_updates, clip=1.0)
-    for update in range(settings.planner_updates):
+    for update in (state or no_state()).updates("plan", settings.planner_updates, generator, descent):
         value = off_data_return(model, reward, scenes, settings, settings.planner_batch, generator)
         descent.step(-value)
         progress("plan", update + 1, settings.planner_updates, float(value.detach()))
@@ -74,6 +77,7 @@ def fit_encoder_and_policy(
     generator: torch.Generator,
     progress: Progress = no_progress,
     weight: Float[Tensor, " P"] | None = None,
+    state: TrainingState | None = None,
 ) -> None:
     """Train encoder and policy in place; neither gets the other's gradient.
 
@@ -88,14 +92,18 @@ def fit_encoder_and_policy(
     lead = settings.encoder_lead
     joint_updates = settings.updates if settings.encoder_updates is None else settings.encoder_updates
     encoder_descent = Descent(model.encoder.parameters(), settings.encoder_rate, lead + joint_updates)
-    for update, chosen in enumerate(batches(len(posterior), settings.batch, lead, generator, weight)):
+    state = state or no_state()
+    for update in state.updates("encoder", lead, generator, encoder_descent):
+        chosen = draw_batch(len(posterior), settings.batch, generator, weight)
         inferred = _infer_augmented(model, scenes[chosen], settings, generator)
         loss = _cross_entropy(posterior[chosen], inferred)
         encoder_descent.step(loss)
         progress("encoder", update + 1, lead, float(loss.detach()))
     policy_descent = Descent(model.decoder.parameters(), settings.policy_rate, settings.updates)
     reproduced = len(posterior) if settings.reconstruction == "judged" else len(scenes)
-    for update, chosen in enumerate(batches(reproduced, settings.batch, settings.updates, generator)):
+    descents = encoder_descent, policy_descent
+    for update in state.updates("encoder and policy", settings.updates, generator, *descents):
+        chosen = draw_batch(reproduced, settings.batch, generator)
         batch, with_posterior = scenes[chosen], chosen % len(posterior)
         trains_encoder = update < joint_updates
         inferred = _infer_augmented(model, scenes[with_posterior], settings, generator) if trains_encoder else None

@@ -3,10 +3,12 @@
 from collections.abc import Mapping, Sequence
 
 import pytest
+import yaml
 
 from cosim.proposals.main_road import ending_lanes, main_road
 from cosim.proposals.net_file import NetLane, NetLanes
-from cosim.proposals.scenario_file import merging_lane
+from cosim.proposals.scenario_file import choices, merging_lanes, scenario_text, warm_up
+from cosim.sumo.net_use import NetUse
 from gri.errors import InputError
 
 
@@ -31,7 +33,7 @@ def test_the_road_of_most_vehicle_metres_is_proposed_and_the_lane_that_a_ramp_fe
     assert (lane.lane, lane.begin, lane.end, lane.side, lane.entries) == ("acc_0", 200.0, 400.0, "right", ("ramp",))
     assert not lane.leads_off
     assert lane.begin < lane.zone[0] < lane.zone[1] < lane.end - 60
-    assert merging_lane(road) == lane
+    assert merging_lanes(road) == [lane]
 
 
 def test_a_road_is_cut_at_traffic_lights() -> None:
@@ -39,13 +41,14 @@ def test_a_road_is_cut_at_traffic_lights() -> None:
     assert main_road(lit, {("a", "b", "c"): 10}).edges == ("a", "b")
 
 
-def test_a_lane_that_ends_on_the_left_is_told_and_used_if_a_ramp_feeds_it() -> None:
+def test_a_lane_that_ends_is_used_after_one_that_a_ramp_feeds_on_either_side() -> None:
     edges = {"up": [["on_0"], ["on_1"]], "on": [["down_0"], []], "down": [[]]}
     road = main_road(net(edges), {("up", "on", "down"): 10})
     assert [(lane.lane, lane.side) for lane in road.ending] == [("on_1", "left")]
-    assert merging_lane(road) is None
-    ramp = {"up": [["on_0"]], "ramp": [["on_1"]]}
-    assert merging_lane(main_road(net(edges | ramp), {("up", "on", "down"): 10})) is not None
+    assert [(lane.lane, lane.entries) for lane in merging_lanes(road)] == [("on_1", ())]
+    both = {"up": [["on_1"], ["on_2"]], "ramp": [["on_0"]], "on": [[], ["down_0"], []], "down": [[]]}
+    fed, dropped = merging_lanes(main_road(net(both), {("up", "on", "down"): 10}))
+    assert ((fed.lane, fed.entries), (dropped.lane, dropped.entries)) == (("on_0", ("ramp",)), ("on_2", ()))
 
 
 def test_a_lane_that_goes_on_across_a_node_and_a_zipper_and_a_joining_ramp() -> None:
@@ -84,7 +87,56 @@ def test_a_lane_that_leads_to_an_exit_comes_after_one_that_ends() -> None:
         ("free_0", False, ("ramp",)),
     ]
     road = main_road(weave, {("up", "weave", "free", "down"): 10})
-    assert merging_lane(road) == found[1]
+    assert merging_lanes(road) == [found[1], found[0]]
+
+
+def use(speed: float, vehicles: Sequence[int] = (1, 5, 9, 10, 10, 10)) -> NetUse:
+    """What vehicles of one speed [m/s] did on all edges."""
+    edges = ("up", "acc", "down", "ramp")
+    return NetUse({}, tuple(vehicles), 0, dict.fromkeys(edges, speed))
+
+
+ROAD = main_road(RAMP, {("up", "acc", "down"): 100, ("ramp", "acc", "down"): 30})
+
+
+@pytest.mark.parametrize("speed", [8.0, 15.0, 36.0])
+def test_zone_and_horizon_fit_the_speed_and_the_road(speed: float) -> None:
+    merge, following = choices(ROAD, use(speed))
+    (lane,) = ROAD.ending
+    begin, end = merge.zone
+    assert lane.begin < begin < end <= lane.end - 20
+    assert end - begin >= speed, "vehicles are in the zone for a second, once a second groups are looked for"
+    assert end + speed * merge.horizon <= ROAD.length, "nobody leaves the study area within the horizon"
+    assert 2 <= following.horizon <= 8
+    assert following.horizon * speed <= 0.5 * ROAD.length
+    assert merge.horizon == int(merge.horizon), "a multiple of every usual step"
+    assert merge.max_gap == max(45, round(1.5 * speed))
+
+
+def test_at_usual_speeds_the_zone_is_that_of_the_lane() -> None:
+    (merge, _), (lane,) = choices(ROAD, use(15.0)), ROAD.ending
+    assert merge.zone == lane.zone
+
+
+def test_the_warm_up_leaves_most_of_the_demand_to_groups() -> None:
+    assert warm_up(use(15.0)) == 30
+    assert warm_up(use(15.0), 400.0) == 30
+    assert warm_up(use(15.0), 60.0) == 15
+
+
+def test_a_scenario_has_at_most_ten_lines_and_names_that_look_like_numbers_stay_names() -> None:
+    lane_road = main_road(
+        net({"1": [["2_1"], ["2_2"]], "ramp": [["2_0"]], "2": [[], ["a,b_0"], ["a,b_1"]], "a,b": [[], []]}),
+        {("1", "2", "a,b"): 5},
+    )
+    for choice in choices(lane_road, use(15.0)):
+        text = scenario_text("my: file.sumocfg", lane_road, use(15.0), choice, None)
+        content = [line for line in text.splitlines() if not line.startswith("#")]
+        assert len(content) <= 10
+        read = yaml.safe_load(text)
+        assert (read["road"]["edges"], read["road"]["origin"]) == (["1", "2", "a,b"], "1")
+        assert read["traffic"]["sumocfg"] == "my: file.sumocfg"
+        assert read["group"]["rule"] == choice.rule
 
 
 def test_no_traffic_is_one_clear_error() -> None:

@@ -1,7 +1,11 @@
+import os
+import signal
 import sys
 from pathlib import Path
 
 import pytest
+import torch
+from safetensors.torch import load_file
 from typer.testing import CliRunner
 
 from gri.commands.cli import app, main
@@ -32,6 +36,43 @@ def test_each_command_prints_the_next_one(tmp_path: Path, monkeypatch: pytest.Mo
     scored = run("evaluate", "runs/tiny-s3.safetensors")
     assert "RMSE_x" in scored
     assert "2 test scenes" in scored
+
+
+class StopsAtReport:
+    """A display that stops the training by Ctrl-C, at its third report."""
+
+    def __enter__(self) -> "StopsAtReport":
+        self.left = 3
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        pass
+
+    def __call__(self, stage: str, done: int, total: int, value: float | str = "") -> None:
+        self.left -= 1
+        if self.left == 0:
+            os.kill(os.getpid(), signal.SIGINT)
+
+
+def test_a_training_that_is_stopped_goes_on_by_the_same_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    Path("tiny.yaml").write_text(TINY.replace("updates: 1, reward", "updates: 6, reward"))
+    run("train", "tiny.yaml", "--out", "straight.safetensors")
+    monkeypatch.setattr("gri.commands.models.ProgressDisplay", StopsAtReport)
+    out, said = Path("runs/tiny-s0.safetensors"), []
+    while not out.exists():
+        result = CliRunner().invoke(app, ["train", "tiny.yaml", "--track", "csv"], catch_exceptions=False)
+        said.append(result.output)
+        assert result.exit_code == (0 if out.exists() else 130)
+        assert len(said) < 10
+    assert len(said) >= 3
+    assert all("going on after update" in output for output in said[1:])
+    straight, stopped = (load_file(path) for path in (Path("straight.safetensors"), out))
+    assert straight.keys() == stopped.keys()
+    assert all(torch.equal(straight[name], stopped[name]) for name in straight)
+    assert not out.with_suffix(".state").exists()
+    rows = out.with_suffix(".csv").read_text().splitlines()
+    assert [row.split(",")[1] for row in rows if row.startswith("encoder and policy")] == [*"123456"]
 
 
 @pytest.mark.parametrize(
