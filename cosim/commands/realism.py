@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, NamedTuple
 import typer
 
 from cosim.commands.arguments import DurationOption, SeedOption, SetOption
-from cosim.commands.traffic import survey_of
+from cosim.commands.traffic import lane_numbers, survey_of
 from gri.errors import InputError
 from gri.terminal import FormatOption, ProgressDisplay, finite, show_tables
 
@@ -61,7 +61,7 @@ def realism(
     if (against is None) == (test is None):
         raise InputError("--against and --test: expected one of both, the recording; see docs/realism.md")
     if test is not None:
-        sought = _Score(test, fit, offset, seeds, views, seed, duration, settings or [], _lanes(lanes))
+        sought = _Score(test, fit, offset, seeds, views, seed, duration, settings or [], lane_numbers(lanes))
         return _score(subject, sought, out or next_folder(Path("runs"), f"{Path(subject).stem}-score"), table_format)
     if fit is not None:
         raise InputError("--fit: is for --test; leave it out, or give --test")
@@ -74,7 +74,7 @@ def realism(
             f"{subject}: --stretch, --seed and --set are for scenarios, and this is a run folder; leave them out"
         )
     read = _of_run if is_run else lambda name: _of_scenario(name, seed, duration, settings or [])
-    chosen = _lanes(lanes)
+    chosen = lane_numbers(lanes)
     folder = out or next_folder(Path("runs"), f"{Path(subject).stem}-realism")
     with run_folder(folder) as partial:
         from cosim.studies.traffic_samples import recorded_samples
@@ -95,13 +95,6 @@ def realism(
         f"{time.monotonic() - began:.0f} s. Distances and picture: {folder}",
         then=f"cosim report {subject}" if is_run else f"cosim calibrate {subject}",
     )
-
-
-def _lanes(text: str | None) -> list[int]:
-    try:
-        return [int(lane) for lane in text.split(",")] if text else []
-    except ValueError:
-        raise InputError(f"--lanes: got {text!r}, wanted numbers such as 2,3,4") from None
 
 
 def _of_run(folder: str) -> "pd.DataFrame":

@@ -2,6 +2,7 @@
 
 import os
 import time
+from dataclasses import asdict
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated
@@ -17,11 +18,14 @@ from cosim.commands.arguments import (
     WorkersOption,
 )
 from gri.errors import InputError
+from gri.table import Table
 from gri.terminal import FormatOption, ProgressDisplay, ShowProgress, finite, show_tables
 
 if TYPE_CHECKING:
     from cosim.runs.traffic_survey import Survey
     from cosim.spec.scenario import Scenario
+    from cosim.studies.calibration import Likeness
+    from cosim.studies.screening import Effect
 
 SITES = ["us101_car_following", "i80_car_following"]
 
@@ -65,9 +69,22 @@ def calibrate(
         str,
         typer.Option(
             help="Parameters to search, separated by commas: tau (time headway of the drivers), limit (one factor for"
-            " all speed limits of the bottleneck), limit.K (its limit in the K-th interval)."
+            " all speed limits of the bottleneck), limit.K (its limit in the K-th interval), and other numbers of"
+            " drivers, lane changing and bottleneck (docs/calibration.md)."
         ),
     ] = "tau,limit",
+    screen: Annotated[
+        int | None,
+        typer.Option(min=1, max=1000, help="Instead of a search: paths on which to see which parameters matter."),
+    ] = None,
+    fit: Annotated[
+        Path | None, typer.Option(help="Part of a recording to resemble besides the targets, as by cosim realism.")
+    ] = None,
+    offset: Annotated[
+        float, typer.Option(callback=finite, help="With --fit: where its x = 0 is on the simulated road [m].")
+    ] = 0.0,
+    lanes: Annotated[str | None, typer.Option(help="With --fit: use only these lanes, such as 2,3,4.")] = None,
+    views: Annotated[int, typer.Option(min=1, max=1000, help="With --fit: times at which each window is seen.")] = 8,
     target_speed: Annotated[
         float | None,
         typer.Option(callback=finite, help="Target of the mean speed [km/h] to use instead of the scenario's."),
@@ -85,23 +102,33 @@ def calibrate(
 ) -> None:
     """Fit drivers and speed limits to the recorded targets.
 
-    The same command continues a search that was stopped.
+    With --fit also to a recording. The same command continues a search
+    that was stopped. --screen says which parameters matter, before.
     """
     from cosim.spec.loading import load_scenario
 
     chosen = _with_target(
         _simulated(load_scenario(scenario, max_work=max_work, settings=settings or ()), scenario), target_speed
     )
-    from cosim.studies.calibration import Calibration, calibrate, parameters
+    from cosim.studies.calibration import Calibration, calibrate
+    from cosim.studies.calibration import screen as screened
+    from cosim.studies.free_parameters import parameters
     from cosim.studies.traffic_targets import statistics_frame, statistics_table
     from gri.storage.claims import claimed_folder
 
     folder = out or Path("runs", "calibrate", Path(scenario).stem)
     numbers = tuple(chosen.seed + k for k in range(seeds))
-    calibration = Calibration(chosen, parameters(free.split(","), chosen.traffic), numbers, duration, folder)
-    began = time.monotonic()
+    free_ones, likeness = parameters(free.split(","), chosen.traffic), _likeness(fit, offset, views, lanes)
+    calibration = Calibration(chosen, free_ones, numbers, duration, folder, likeness)
+    began, at_once = time.monotonic(), workers or os.cpu_count() or 1
+    if screen is not None:
+        with claimed_folder(folder), ProgressDisplay() as progress:
+            found = screened(calibration, screen, chosen.seed, at_once, progress)
+        text = f"{time.monotonic() - began:.0f} s, {screen * (len(free_ones) + 1)} settings with {seeds} seeds each."
+        show_tables(_effect_tables(found), table_format, text, then=f"cosim calibrate {scenario} --free ...")
+        return
     with claimed_folder(folder), ProgressDisplay() as progress:
-        best = calibrate(calibration, evaluations, workers or os.cpu_count() or 1, progress)
+        best = calibrate(calibration, evaluations, at_once, progress)
     statistics_frame(best.runs).to_csv(folder / "seeds.csv", index=False)
     values = ", ".join(f"{p.name} = {value:g}" for p, value in zip(calibration.free, best.values, strict=True))
     show_tables(
@@ -111,6 +138,44 @@ def calibrate(
         f"{time.monotonic() - began:.0f} s. Traffic file: {folder}/traffic.yaml",
         then=f"cosim realism {scenario} --against RECORDING",
     )
+
+
+def lane_numbers(text: str | None) -> list[int]:
+    """Numbers separated by commas; none for no text."""
+    try:
+        return [int(lane) for lane in text.split(",")] if text else []
+    except ValueError:
+        raise InputError(f"--lanes: got {text!r}, wanted numbers such as 2,3,4") from None
+
+
+def _likeness(fit: Path | None, offset: float, views: int, lanes: str | None) -> "Likeness | None":
+    """The part of a recording to resemble."""
+    if fit is None:
+        return None
+    from cosim.studies.calibration import Likeness
+    from cosim.studies.observation_windows import windows_of
+    from cosim.studies.traffic_samples import recorded_samples
+
+    samples, chosen = recorded_samples(fit), lane_numbers(lanes)
+    samples = samples[samples["lane"].isin(chosen)] if chosen else samples
+    if not windows_of(samples)[0]:
+        raise InputError("--fit: no part of the recording is 4 s long or longer; give a longer one")
+    return Likeness(samples, offset, views)
+
+
+def _effect_tables(found: "dict[str, list[Effect]]") -> list[Table]:
+    """One table for each result: the parameters with their effects, the strongest first."""
+    return [
+        Table(
+            result,
+            ("parameter", "mean |effect|", "mean effect", "spread"),
+            [(e.parameter, f"{e.mu_star:.3g}", f"{e.mu:+.3g}", f"{e.sigma:.3g}") for e in effects],
+            [asdict(e) for e in effects],
+            title=f"Effects on the {result} of a parameter's whole range (±25 %)",
+            labels=1,
+        )
+        for result, effects in found.items()
+    ]
 
 
 def _simulated(scenario: "Scenario", name: str) -> "Scenario":

@@ -1,9 +1,10 @@
-"""Calibration of drivers and bottleneck, so that the traffic of a scenario reaches its recorded targets.
+"""Calibration of drivers and bottleneck, so that the traffic of a scenario resembles the recorded one.
 
 The misfit is the mean over seeds and targets of (relative error / tolerance)². Below 1, the targets are reached on
-average. A simulation is slow and noisy and has no derivatives. The optimiser is therefore COBYQA (Ragonneau 2022, in
-scipy), which fits quadratic models to few evaluations inside bounds. It is deterministic, and every evaluation is
-stored, so that the same call continues a stopped calibration.
+average. With a recording, UNLIKENESS · (1 − its weighted score) is added (`cosim.studies.traffic_score`). A simulation
+is slow and noisy and has no derivatives. The optimiser is therefore COBYQA (Ragonneau 2022, in scipy), which fits
+quadratic models to few evaluations inside bounds. It is deterministic, and every evaluation is stored, so that the same
+call continues a stopped calibration. Before, `screen` says which parameters matter.
 """
 
 import hashlib
@@ -18,6 +19,7 @@ from pathlib import Path
 
 import msgspec
 import numpy as np
+import pandas as pd
 import yaml
 from jaxtyping import Float
 from msgspec.structs import replace
@@ -26,6 +28,11 @@ from scipy.optimize import minimize
 from cosim.runs.run_job import survey_job
 from cosim.spec.demand import Traffic
 from cosim.spec.scenario import Scenario
+from cosim.studies.free_parameters import Parameter
+from cosim.studies.observation_windows import seen_through, windows_of
+from cosim.studies.screening import Effect, effects, paths, scaled
+from cosim.studies.traffic_samples import with_headways
+from cosim.studies.traffic_score import traffic_score, with_interactions
 from cosim.studies.traffic_targets import TrafficStatistics, target_checks, traffic_statistics
 from gri.errors import InputError, guarded_reading
 from gri.storage.whole_files import write_whole
@@ -34,59 +41,44 @@ MAX_CHANGE = 0.25  # of a parameter, relative to its initial value
 FIRST_STEP, LAST_STEP = 0.04, 0.005  # trust-region radii, relative to the initial values
 SIMULATION_LIMIT = 24 * 3600.0  # [s]
 COLLISION_PENALTY = 100.0  # added to the misfit for each collision or teleport
+UNLIKENESS = 10.0  # weight of the recording: 10 points of the score count as much as all targets at their tolerances
 
 Tell = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
-class Parameter:
-    """A free number of a traffic description: `tau`, `limit` (all limits by one factor) or `limit.K` (the K-th)."""
-
-    name: str
-
-    @property
-    def interval(self) -> int | None:
-        """The demand interval (0-based) whose limit this is; None for all."""
-        number = self.name.partition(".")[2]
-        return int(number) - 1 if number else None
-
-    def value_in(self, traffic: Traffic) -> float:
-        """Its value: time headway `tau` [s] or limit [m/s]; the first one where it scales several."""
-        if self.name == "tau":
-            return traffic.vehicles[0].tau
-        assert traffic.bottleneck is not None, "checked by `parameters`"
-        return traffic.bottleneck.limits[self.interval or 0]
-
-    def replaced_in(self, traffic: Traffic, value: float) -> Traffic:
-        """The traffic with this value of the parameter; others that it scales change by the same factor."""
-        factor = value / self.value_in(traffic)
-        if self.name == "tau":
-            vehicles = tuple(replace(v, tau=round(v.tau * factor, 4)) for v in traffic.vehicles)
-            return replace(traffic, vehicles=vehicles)
-        assert traffic.bottleneck is not None, "checked by `parameters`"
-        limits = tuple(
-            round(limit * factor, 3) if self.interval in (None, k) else limit
-            for k, limit in enumerate(traffic.bottleneck.limits)
-        )
-        return replace(traffic, bottleneck=replace(traffic.bottleneck, limits=limits))
-
-
-def parameters(names: Sequence[str], traffic: Traffic) -> tuple[Parameter, ...]:
-    """The named parameters. Raises `InputError` for a name that this traffic does not have."""
-    intervals = len(traffic.bottleneck.limits) if traffic.bottleneck else 0
-    known = ["tau", *(["limit"] if intervals else []), *(f"limit.{k + 1}" for k in range(intervals))]
-    if unknown := [name for name in names if name not in known]:
-        raise InputError(f"--free: got {unknown[0]!r}, this traffic has {', '.join(known)}")
-    return tuple(Parameter(name) for name in names)
-
-
-@dataclass(frozen=True)
 class Evaluation:
-    """One evaluation: the values of the parameters, the misfit, and the statistics of each seed."""
+    """One evaluation: the values of the parameters, the misfit, and the statistics of each seed.
+
+    `score` is the weighted score against the recording, between 0 and 1; None without a recording.
+    """
 
     values: tuple[float, ...]
     misfit: float
     runs: tuple[TrafficStatistics, ...]
+    score: float | None = None
+
+
+@dataclass(frozen=True)
+class Likeness:
+    """A part of a recording to resemble: its samples, where its x = 0 is on the road [m], and views per window."""
+
+    samples: pd.DataFrame
+    offset: float
+    views: int
+
+    @property
+    def content(self) -> str:
+        """Hash of the samples and the settings."""
+        rows = pd.util.hash_pandas_object(self.samples, index=False).to_numpy().tobytes()
+        return hashlib.sha256(rows + f"{self.offset} {self.views}".encode()).hexdigest()
+
+    def score(self, simulated: Sequence[pd.DataFrame]) -> float:
+        """The weighted score of simulations, seen through the recording's windows."""
+        windows, tested = windows_of(self.samples)
+        seen = seen_through(simulated, windows, self.views, self.offset)
+        ours, theirs = (with_interactions(with_headways(t.assign(source=t["window"]))) for t in (seen, tested))
+        return traffic_score(ours, theirs, None).total
 
 
 @dataclass(frozen=True)
@@ -101,15 +93,22 @@ class Calibration:
     seeds: tuple[int, ...]
     duration: float
     folder: Path
+    likeness: Likeness | None = None
 
     def traffic(self, values: Sequence[float]) -> Traffic:
         pairs = zip(self.free, values, strict=True)
         return reduce(lambda traffic, pair: pair[0].replaced_in(traffic, pair[1]), pairs, self.scenario.traffic)
 
     @property
+    def initial(self) -> list[float]:
+        """The values of the free parameters in the scenario."""
+        return [parameter.value_in(self.scenario.traffic) for parameter in self.free]
+
+    @property
     def problem(self) -> str:
         """Hash of everything that all evaluations of the folder have in common."""
-        content = (self.scenario, [p.name for p in self.free], self.seeds, self.duration)
+        content = [self.scenario, [p.name for p in self.free], self.seeds, self.duration]
+        content += [] if self.likeness is None else [self.likeness.content]
         return hashlib.sha256(msgspec.json.encode(content)).hexdigest()
 
     @property
@@ -123,13 +122,8 @@ def calibrate(calibration: Calibration, evaluations: int, workers: int, tell: Te
     `tell` is called with "evaluations", their number so far and `evaluations`. Raises `InputError` if the scenario has
     no targets, or if the folder has another calibration.
     """
-    if calibration.scenario.traffic.targets is None:
-        raise InputError(
-            "traffic.targets: this scenario has no targets; give the recorded mean speed, flow and ramp share"
-        )
-    calibration.folder.mkdir(parents=True, exist_ok=True)
-    known = {found.values: found for found in _read(calibration)}
-    initial = np.array([parameter.value_in(calibration.scenario.traffic) for parameter in calibration.free])
+    known = _known(calibration)
+    initial = np.array(calibration.initial)
     requested: list[tuple[float, ...]] = []
     with _executor(workers) as executor:
 
@@ -152,6 +146,43 @@ def calibrate(calibration: Calibration, evaluations: int, workers: int, tell: Te
     return best
 
 
+def screen(calibration: Calibration, number: int, seed: int, workers: int, tell: Tell) -> dict[str, list[Effect]]:
+    """Elementary effects of the free parameters along `number` paths, for the misfit, the mean speed and the score.
+
+    Every parameter moves within ±MAX_CHANGE of its initial value; effects are those of its whole range. Evaluations are
+    stored as those of `calibrate`, and not repeated. Raises `InputError` like `calibrate`.
+    """
+    known, names = _known(calibration), [parameter.name for parameter in calibration.free]
+    points = paths(len(names), number, np.random.default_rng(seed))
+    found: list[Evaluation] = []
+    with _executor(workers) as executor:
+        for point in points.reshape(-1, len(names)):
+            tell("evaluations", len(found), number * (len(names) + 1))
+            values = scaled(calibration.initial, MAX_CHANGE, point)
+            if values not in known:
+                known[values] = _evaluate(calibration, values, executor)
+                _write(calibration, known[values])
+            found.append(known[values])
+    results = {
+        "misfit": [one.misfit for one in found],
+        "mean speed [m/s]": [float(np.mean([run.mean_speed for run in one.runs])) for one in found],
+    }
+    if calibration.likeness is not None:
+        results["score"] = [np.nan if one.score is None else one.score for one in found]
+    shape = points.shape[:2]
+    return {name: effects(names, points, np.array(values).reshape(shape)) for name, values in results.items()}
+
+
+def _known(calibration: Calibration) -> dict[tuple[float, ...], Evaluation]:
+    """The stored evaluations by their values; the folder is made if there is none."""
+    if calibration.scenario.traffic.targets is None:
+        raise InputError(
+            "traffic.targets: this scenario has no targets; give the recorded mean speed, flow and ramp share"
+        )
+    calibration.folder.mkdir(parents=True, exist_ok=True)
+    return {found.values: found for found in _read(calibration)}
+
+
 def misfit_of(scenario: Scenario, runs: Sequence[TrafficStatistics]) -> float:
     """Mean over seeds and targets of (relative error / tolerance)², plus the penalty of collisions and teleports."""
     targets = scenario.traffic.targets
@@ -166,16 +197,21 @@ def _evaluate(calibration: Calibration, values: tuple[float, ...], executor: Exe
         executor.submit(_simulate, replace(variant, seed=seed), calibration.duration) for seed in calibration.seeds
     ]
     try:
-        runs = tuple(task.result(SIMULATION_LIMIT) for task in tasks)
+        found = [task.result(SIMULATION_LIMIT) for task in tasks]
     except TimeoutError:
         raise RuntimeError(
             f"waited {SIMULATION_LIMIT / 3600:g} h for a simulation of one seed, then ended it"
         ) from None
-    return Evaluation(values, misfit_of(variant, runs), runs)
+    runs = tuple(statistics for statistics, _ in found)
+    if calibration.likeness is None:
+        return Evaluation(values, misfit_of(variant, runs), runs)
+    score = calibration.likeness.score([samples for _, samples in found])
+    return Evaluation(values, misfit_of(variant, runs) + UNLIKENESS * (1 - score), runs, score)
 
 
-def _simulate(scenario: Scenario, duration: float) -> TrafficStatistics:
-    return traffic_statistics(scenario, survey_job(scenario, duration, lambda *_: None))
+def _simulate(scenario: Scenario, duration: float) -> tuple[TrafficStatistics, pd.DataFrame]:
+    found = survey_job(scenario, duration, lambda *_: None)
+    return traffic_statistics(scenario, found), found.samples
 
 
 @contextmanager

@@ -1,16 +1,30 @@
 """The calibration, on a made-up world whose best settings are known; one real evaluation."""
 
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace as replace_dataclass
 
 import msgspec
+import numpy as np
+import pandas as pd
 import pytest
 import yaml
 from msgspec.structs import replace
 
-from cosim.spec.demand import Targets, Traffic
+from cosim.spec.demand import Fluctuation, Targets, Traffic
 from cosim.spec.loading import load_scenario
 from cosim.studies import calibration as module
-from cosim.studies.calibration import COLLISION_PENALTY, Calibration, Evaluation, calibrate, misfit_of, parameters
+from cosim.studies.calibration import (
+    COLLISION_PENALTY,
+    UNLIKENESS,
+    Calibration,
+    Evaluation,
+    Likeness,
+    calibrate,
+    misfit_of,
+    screen,
+)
+from cosim.studies.free_parameters import parameters
 from cosim.studies.traffic_targets import TrafficStatistics
 from gri.errors import InputError
 
@@ -107,3 +121,70 @@ def test_real_evaluations_are_the_same_again(tmp_path, scenario):
     one, two = (calibrate(calibration_in(tmp_path / name, short), 1, 1, quiet) for name in ("one", "two"))
     assert one == two
     assert one.runs[0].collisions == 0
+
+
+def moving(scenario):
+    """The scenario with a bottleneck that fluctuates."""
+    bottleneck = replace(scenario.traffic.bottleneck, fluctuation=Fluctuation(sd=0.2, lane_correlation=0.9))
+    return replace(scenario, traffic=replace(scenario.traffic, bottleneck=bottleneck))
+
+
+def test_drivers_lane_changing_and_bottleneck_have_parameters(scenario):
+    traffic = moving(scenario).traffic
+    speed_gain, imperfection, spread, together = parameters(
+        ["speed_gain", "imperfection", "fluctuation.sd", "fluctuation.lane_correlation"], traffic
+    )
+    assert [v.lane_changing.speed_gain for v in speed_gain.replaced_in(traffic, 6.0).vehicles] == [6.0, 6.0]
+    assert [v.imperfection for v in imperfection.replaced_in(traffic, 0.33).vehicles] == [0.33, 0.33]
+    assert spread.replaced_in(traffic, 0.3).bottleneck.fluctuation.sd == 0.3
+    assert together.replaced_in(traffic, 1.2).bottleneck.fluctuation.lane_correlation == 1.0  # a share
+    with pytest.raises(InputError, match=r"--free: got 'pulses.duration', this traffic has tau, tau_cv"):
+        parameters(["pulses.duration"], traffic)
+
+
+def test_a_class_without_the_parameter_keeps_having_none(scenario):
+    """A class whose drivers do not change lanes for speed stays so."""
+    (car, truck) = scenario.traffic.vehicles
+    idle = replace(truck, imperfection=None, lane_changing=replace(truck.lane_changing, speed_gain=0.0))
+    traffic = replace(scenario.traffic, vehicles=(idle, car))
+    speed_gain, imperfection = parameters(["speed_gain", "imperfection"], traffic)
+    assert speed_gain.value_in(traffic) == car.lane_changing.speed_gain
+    assert [v.lane_changing.speed_gain for v in speed_gain.replaced_in(traffic, 6.0).vehicles] == [0.0, 6.0]
+    assert [v.imperfection for v in imperfection.replaced_in(traffic, 0.4).vehicles] == [None, 0.4]
+
+
+def test_screening_finds_what_the_made_up_world_depends_on(tmp_path, scenario, made_up):
+    """The misfit is ((tau − 1.5)/.1)² + ((limit − 14)/2)²; its mean speed is the limit, whatever tau."""
+    calibration = calibration_in(tmp_path, scenario)
+    found = screen(calibration, 3, 0, 1, quiet)
+    assert made_up.total() <= 3 * 3
+    by_speed = {effect.parameter: effect.mu_star for effect in found["mean speed [m/s]"]}
+    assert by_speed["tau"] == 0.0
+    assert by_speed["limit"] == pytest.approx(0.5 * 15.0, rel=1e-3)  # the range is ±25 % of 15 m/s
+    assert [effect.parameter for effect in found["misfit"]] == ["tau", "limit"]
+    before = made_up.total()
+    assert screen(calibration, 3, 0, 1, quiet) == found
+    assert made_up.total() == before  # all of it was stored
+
+
+def test_a_recording_adds_what_its_score_lacks(tmp_path, scenario, monkeypatch):
+    """The traffic of a simulation is given: that of the recording itself, and one that is three times as fast."""
+    rng = np.random.default_rng(0)
+    time = np.arange(30.0)
+    recorded = pd.concat(
+        pd.DataFrame({"time": time, "vehicle": f"{k}", "lane": 1.0 + k % 2, "x": 9.0 * k + v * time, "v": v, "a": 0.0})
+        for k, v in enumerate(rng.normal(10, 2, 20))
+    ).assign(length=4.0, source="r")
+    likeness = Likeness(recorded, 0.0, 1)
+    calibration = replace_dataclass(calibration_in(tmp_path, scenario), likeness=likeness)
+    evaluations = []
+    for simulated in (recorded, recorded.assign(v=3 * recorded["v"])):
+        monkeypatch.setattr(module, "_simulate", lambda *_, s=simulated: (figures(10.0, (8000.0,), 0.06), s))
+        with ThreadPoolExecutor(1) as executor:
+            evaluations.append(module._evaluate(calibration, (1.4, 15.0), executor))
+    alike, fast = evaluations
+    assert alike.score is not None
+    assert fast.score is not None
+    assert alike.score > fast.score + 0.2
+    assert fast.misfit - alike.misfit == pytest.approx(UNLIKENESS * (alike.score - fast.score))
+    assert calibration.problem != calibration_in(tmp_path, scenario).problem
