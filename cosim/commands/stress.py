@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from cosim.commands.arguments import MaxWorkOption, ScenarioArgument, SetOption
+from cosim.commands.arguments import FEWER_THAN_ASKED, MaxWorkOption, ScenarioArgument, SetOption
 from gri.terminal import ProgressDisplay, console, finite, next_command, notice, say
 
 
@@ -85,7 +85,7 @@ def stress(
             notice(f"left out: {kind}, because {reason}")
     policies = policies_of(_words(policy), chosen)
     from cosim.show.stress_page import write_stress_page
-    from cosim.stress.stress_test import publish, run_stress
+    from cosim.stress.stress_test import fewer_starts, publish, run_stress
     from cosim.stress.until_decided import STARTS_PER_SEED, contest_of, run_until_decided, sentence
     from gri.storage.claims import claimed_folder
 
@@ -121,6 +121,9 @@ def stress(
     console.print(f"{time.monotonic() - began:.0f} s.", *map(str, written), sep="\n  ", soft_wrap=True)
     say(f"\nReport: {folder / 'stress.md'}; for a browser: {folder / 'stress.html'}")
     next_command(f"python -c \"import pandas; print(pandas.read_parquet('{folder}/estimates.parquet'))\"")
+    if fewer := fewer_starts(parts, rows):
+        notice(f"warning: {fewer}")
+        raise typer.Exit(FEWER_THAN_ASKED)
 
 
 def _words(text: str) -> list[str]:

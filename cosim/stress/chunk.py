@@ -73,7 +73,10 @@ def _effects_on_traffic(chunk: Chunk, cache: Path) -> Rows:
 def chunk_rows(chunk: Chunk, tell: Callable[..., None], scratch: Path | None = None) -> tuple[Rows, Rows]:
     """One row per start, cell and policy, and one per effect of a perturbation on these starts.
 
-    Raises `InputError` if the traffic has too few starts, or without fork."""
+    There are fewer starts than asked for where the scenario's time limit is reached before.
+
+    Raises `InputError` if the traffic has no start at all, or without fork.
+    """
     if not CAN_FORK:
         raise InputError("stress tests share one warm-up by forking the process, which this system cannot")
     scenario, rows, effects, starts = chunk.scenario, [], [], 0
@@ -101,10 +104,10 @@ def chunk_rows(chunk: Chunk, tell: Callable[..., None], scratch: Path | None = N
                     tell("starts", starts, chunk.starts)
                     for _ in range(PAUSE):
                         trunk.observe_history()
-    if starts < chunk.starts:
+    if not starts:
         raise InputError(
-            f"group: found {starts} of {chunk.starts} starts within {scenario.time_limit:g} s (seed {scenario.seed});"
-            " loosen the group rule's gaps or raise time_limit"
+            f"group: found no start within {scenario.time_limit:g} s (seed {scenario.seed}); loosen the gaps of the"
+            " group rule or raise time_limit"
         )
     return rows, effects
 

@@ -1,7 +1,7 @@
 """The report of a stress test: Markdown tables and a figure per kind of perturbation."""
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -50,7 +50,7 @@ def stress_report(
     kinds: list[str],
     figures: Collection[str] = (),
     clusters: str = "",
-    decided: str = "",
+    remarks: Sequence[str] = (),
     effects: pd.DataFrame | None = None,
     preventable: pd.DataFrame | None = None,
 ) -> str:
@@ -58,9 +58,9 @@ def stress_report(
 
     `kinds` are the perturbations in order, `figures` the names of the pictures in `figures/` (`cosim.stress.figures`).
     Nominal rows stand in every table that has the same starts. `clusters` says what intervals and tests take as
-    independent, `decided` is the result of a sequential test.
+    independent, `remarks` are sentences that stand before everything else, such as the result of a sequential test.
     """
-    parts = [f"# {title}\n", *([f"**{decided}**\n"] if decided else []), NOTES.format(clusters=clusters)]
+    parts = [f"# {title}\n", *(f"**{text}**\n" for text in remarks if text), NOTES.format(clusters=clusters)]
     known: Known = {
         (*_key(row), str(row["measure"])): tuple(row[["value", "low", "high", "most"]])
         for _, row in estimates.iterrows()

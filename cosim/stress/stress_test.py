@@ -22,7 +22,7 @@ from cosim.spec.input_files import checkpoint_path, find_net, sha256
 from cosim.spec.scenario import Merge, Scenario, TrainedPolicy
 from cosim.stress import estimates, figures
 from cosim.stress.parts import FIX, is_finished, read_part
-from cosim.stress.plan import NOMINAL, PACKAGES, Chunk
+from cosim.stress.plan import NOMINAL, PACKAGES, Cell, Chunk
 from cosim.stress.preventable import preventable
 from cosim.stress.report import stress_report
 from cosim.stress.result_rows import compared_with_sumo
@@ -89,6 +89,24 @@ def run_stress(
     )
 
 
+def fewer_starts(chunks: Sequence[Chunk], rows: pd.DataFrame) -> str:
+    """A sentence about the cells that have fewer starts than asked for; "" if there are none."""
+    asked: dict[Cell, int] = {}
+    for chunk in chunks:
+        for cell in chunk.cells:
+            asked[cell] = asked.get(cell, 0) + chunk.starts
+    of_one = rows[rows["policy"] == next(iter(chunks[0].policies))]
+    short = []
+    for cell, wanted in asked.items():
+        graded = of_one["intensity"].isna() if cell.intensity is None else of_one["intensity"].eq(cell.intensity)
+        found = int((of_one["perturbation"].eq(cell.perturbation) & graded).sum())
+        if found < wanted:
+            name = cell.perturbation if cell.intensity is None else f"{cell.perturbation} {cell.intensity:g}"
+            short.append(f"{name}: {found} of {wanted}")
+    limit = f"{chunks[0].scenario.time_limit:g} s"
+    return f"Fewer starts than asked for within the time limit of {limit}: {'; '.join(short)}." if short else ""
+
+
 def _rows(chunk: Chunk, parts: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     """The rows of a chunk's parts, in the order of its cells and policies."""
     rows = pd.concat([parts[part.key] for part in chunk.parts], ignore_index=True)
@@ -128,8 +146,9 @@ def publish(
     of a sequential test.
     """
     (folder / FACTS).unlink(missing_ok=True)
-    files = write_results(rows, effects, chunks[0].scenario, folder, decided)
-    _write_facts(folder, facts | ({"decided": decided} if decided else {}) | provenance(chunks))
+    said = {"decided": decided, "fewer_starts": fewer_starts(chunks, rows)}
+    files = write_results(rows, effects, chunks[0].scenario, folder, *said.values())
+    _write_facts(folder, facts | {name: text for name, text in said.items() if text} | provenance(chunks))
     return [*files, folder / FACTS]
 
 
@@ -148,6 +167,7 @@ def write_results(
     scenario: Scenario,
     folder: Path,
     decided: str = "",
+    fewer: str = "",
     *,
     draw: bool = True,
 ) -> list[Path]:
@@ -175,7 +195,7 @@ def write_results(
     title = f"Stress test: {scenario.description or scenario.net}"
     shown = (tables["counts"], tables["estimates"], tables["differences"])
     text = stress_report(
-        title, *shown, kinds, {path.stem for path in drawn}, cluster_note(rows), decided, effects, prevented
+        title, *shown, kinds, {path.stem for path in drawn}, cluster_note(rows), [decided, fewer], effects, prevented
     )
     report = folder / "stress.md"
     write_whole(report, text)
@@ -203,7 +223,8 @@ def publish_again(folder: Path, *, draw: bool = True) -> list[Path]:
     table = with_outcome_columns(pd.read_parquet(rows).rename(columns=RENAMED))
     known = folder / "effects.parquet"
     effects = pd.read_parquet(known) if known.is_file() else None
-    files = write_results(table, effects, scenario, folder, content.get("decided", ""), draw=draw)
+    said = [content.get(name, "") for name in ("decided", "fewer_starts")]
+    files = write_results(table, effects, scenario, folder, *said, draw=draw)
     if "results" in content:
         _write_facts(folder, content)
     return files
