@@ -34,8 +34,13 @@ def first_calls(of: Any, *, typechecker: Any) -> Any:
 
 
 def _while_new(plain: Callable[..., Any], make_checked: Callable[[], Callable[..., Any]]) -> Callable[..., Any]:
-    """The function; its first calls go through the checked form, which is made when it is needed."""
-    name, checked = f"{plain.__module__}.{plain.__qualname__}", None
+    """The function; its first calls go through the checked form.
+
+    That of a function inside another is made when it is called, as it is defined anew again and again; that of others
+    at once, so that copies of this process have it.
+    """
+    name = f"{plain.__module__}.{plain.__qualname__}"
+    checked = None if "<locals>" in plain.__qualname__ else make_checked()
 
     @functools.wraps(plain)
     def call(*arguments: Any, **named: Any) -> Any:

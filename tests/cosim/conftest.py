@@ -1,5 +1,8 @@
 """Short, real SUMO scenarios shared by the tests."""
 
+from collections.abc import Iterator
+from importlib import import_module
+from multiprocessing import get_context
 from pathlib import Path
 
 import msgspec
@@ -8,6 +11,8 @@ import yaml
 
 from cosim.loop.closed_loop import Outcome, run
 from cosim.loop.driving import Driver
+from cosim.process import worker_process
+from cosim.process.fork import CAN_FORK
 from cosim.spec.loading import load_scenario
 from cosim.spec.scenario import Scenario
 from cosim.traffic.simulation_input import SumoFiles
@@ -27,6 +32,27 @@ def write_short(path: Path, **changes: object) -> Path:
     content |= {"traffic": traffic, "horizon": 2.0, "time_limit": 120} | changes
     path.write_text(yaml.safe_dump(content))
     return path
+
+
+@pytest.fixture(scope="module")
+def forked_workers() -> Iterator[None]:
+    """Runs are copies of this process, so they need not import torch and SUMO again.
+
+    Processes that begin anew, as they do for people, are tested in tests/cosim/process and by the commands.
+    """
+    for module in (
+        "runs.run_job",
+        "runs.share_job",
+        "runs.episode_figure",
+        "proposals.check",
+        "proposals.propose",
+        "batch.run_task",
+    ):
+        import_module(f"cosim.{module}")
+    with pytest.MonkeyPatch.context() as patch:
+        if CAN_FORK:
+            patch.setattr(worker_process, "get_context", lambda _: get_context("fork"))
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -107,6 +107,7 @@ def read(path: Path, kind: str, dynamics: Dynamics, vocabulary: Vocabulary, spli
 def scene_numbers(path: Path, kind: str, split: str | None = None) -> Int[np.ndarray, " S"]:
     """The numbers in their file of the scenes that `read` reads."""
     with guarded_reading(path, "scene file", "make it again"):
+        read_header(opened(path), path)
         table = pq.read_table(path, columns=["scene"], filters=_filters(kind, split))
         return np.unique(table["scene"].to_numpy())
 

@@ -1,8 +1,6 @@
 """Two hundred broken batch files, made from good ones by mutation: each is refused with file, field and reason."""
 
 import random
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -12,7 +10,9 @@ import pytest
 import yaml
 
 from cosim.batch.run_matrix import expand, load_batch
+from cosim.commands.cli import main
 from gri.errors import InputError
+from tests.command_line import in_this_process
 from tests.cosim.batch.test_run_matrix import GOOD
 
 COUNT = 200
@@ -100,11 +100,9 @@ def test_nearly_all_name_the_line(broken):
     assert len(with_line) > 0.7 * COUNT
 
 
-@pytest.mark.slow
 def test_the_command_refuses_each_in_one_line_and_runs_none(broken):
     for path in broken:
-        command = [sys.executable, "-m", "cosim", "batch", path.name, "--out", "never"]
-        done = subprocess.run(command, cwd=path.parent, capture_output=True, text=True, timeout=60)
+        done = in_this_process(main, "batch", path.name, "--out", "never", cwd=path.parent)
         assert done.returncode == 2, (path.read_text(), done.stderr)
         assert "Traceback" not in done.stderr
         assert done.stdout == ""

@@ -13,7 +13,8 @@ import pytest
 from typer.testing import CliRunner
 
 from cosim.batch.execute import Tally
-from cosim.commands.cli import app
+from cosim.commands.cli import app, main
+from tests.command_line import in_this_process
 from tests.cosim.commands.conftest import SHORT, cosim, tables
 
 
@@ -26,7 +27,7 @@ def log(folder: Path) -> list[dict]:
 
 
 def test_a_dry_run_lists_the_runs_and_starts_none(short):
-    done = cosim("batch", "short.yaml", "--dry-run", "--out", "dry", cwd=short)
+    done = in_this_process(main, "batch", "short.yaml", "--dry-run", "--out", "dry", cwd=short)
     assert "4 runs, none started." in done.stdout
     assert done.stdout.count("us101_car_following gri nominal plain seed") == 2
     assert not (short / "dry").exists()
@@ -160,9 +161,10 @@ def test_ctrl_c_costs_what_is_under_way_and_no_more(short):
     assert Counter(entry["run"] for entry in log(short / "many")).most_common(1)[0][1] == 1, "none was done twice"
 
 
+@pytest.mark.usefixtures("forked_workers")
 def test_a_policy_that_does_not_fit_is_refused_before_anything_runs(short):
     (short / "unfit.yaml").write_text(SHORT.replace("horizon: 2.0", "horizon: 2.0\n  history: 2.0"))
-    done = cosim("batch", "unfit.yaml", "--out", "unfit", cwd=short)
+    done = in_this_process(main, "batch", "unfit.yaml", "--out", "unfit", cwd=short)
     assert done.returncode == 2, done.stderr
     assert "us101_car_following gri nominal plain seed" in done.stderr
     assert "the policy wants 25 states" in done.stderr

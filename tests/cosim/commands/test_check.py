@@ -2,12 +2,14 @@
 
 from pathlib import Path
 
+import pytest
 from typer.testing import CliRunner
 
 from cosim.commands.cli import app
 from tests.cosim.loop.test_roads import merge_on
 from tests.cosim.plain_nets import MERGE, NODES, build_net
 
+pytestmark = pytest.mark.usefixtures("forked_workers")
 LINKS = ("up_0 acc_0", "up_1 acc_1", "ramp_0 acc_2", "acc_0 down_0", "acc_1 down_1")
 
 

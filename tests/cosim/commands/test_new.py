@@ -10,6 +10,7 @@ from cosim.commands.cli import app
 from cosim.spec.loading import load_scenario
 from gri.resources import shipped
 
+pytestmark = pytest.mark.usefixtures("forked_workers")
 ROUTES = """<routes>
   <vType id="quick" sigma="0.4"/>
   <flow id="main" type="quick" from="entry" to="downstream" begin="0" end="600" vehsPerHour="6000" departLane="random"

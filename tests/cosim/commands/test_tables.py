@@ -12,13 +12,14 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+from cosim.commands.cli import main
 from cosim.measures.statistics import Estimate
 from cosim.scenes.dataset_report import NAMES, tables
 from cosim.studies.realism import QUANTITIES, Distance
 from cosim.studies.realism_report import _table
 from cosim.studies.traffic_targets import TrafficStatistics, statistics_table
 from gri.table import Table, terminal_text
-from tests.cosim.commands.conftest import cosim
+from tests.command_line import in_this_process
 
 LISTED = [
     ("results", "two"),
@@ -38,20 +39,24 @@ def assert_legible(text: str) -> None:
 
 
 @pytest.mark.parametrize("arguments", LISTED, ids=" ".join)
-@pytest.mark.parametrize("columns", ["80", None], ids=["80 columns", "pipe"])
-def test_no_line_is_longer_than_80_columns(short, arguments, columns):
-    environment = {name: value for name, value in os.environ.items() if name != "COLUMNS"}
-    environment |= {} if columns is None else {"COLUMNS": columns}
-    command = [sys.executable, "-m", "cosim", *arguments]
-    done = subprocess.run(command, cwd=short, capture_output=True, text=True, timeout=60, env=environment)
+def test_no_line_is_longer_than_80_columns(short, arguments):
+    done = in_this_process(main, *arguments, cwd=short)
     assert done.returncode == 0, done.stderr
     assert_legible(done.stdout)
+
+
+def test_no_line_is_longer_than_80_columns_in_a_pipe(short):
+    environment = {name: value for name, value in os.environ.items() if name != "COLUMNS"}
+    command = [sys.executable, "-m", "cosim", "results", "two"]
+    done = subprocess.run(command, cwd=short, capture_output=True, text=True, timeout=60, env=environment)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout == in_this_process(main, "results", "two", cwd=short).stdout
 
 
 def test_a_run_of_the_batch_is_legible_too(short):
     run = next((short / "two/runs").iterdir())
     for arguments in (("report", run.relative_to(short)), ("explain", run.relative_to(short))):
-        done = cosim(*arguments, cwd=short)
+        done = in_this_process(main, *arguments, cwd=short)
         assert done.returncode == 0, done.stderr
         assert_legible(done.stdout)
 
@@ -59,15 +64,17 @@ def test_a_run_of_the_batch_is_legible_too(short):
 def test_csv_and_json_hold_the_numbers_of_the_tables(short):
     groups = pd.read_parquet(short / "two/groups")
     rows = list(
-        csv.DictReader(io.StringIO(cosim("results", "two", "--by", "policy", "--format", "csv", cwd=short).stdout))
+        csv.DictReader(
+            io.StringIO(in_this_process(main, "results", "two", "--by", "policy", "--format", "csv", cwd=short).stdout)
+        )
     )
     for row in rows:
         if row["policy"] in ("gri", "idm"):
             mine = groups[groups["policy"] == row["policy"]]
             assert float(row["mean_speed"]) == pytest.approx(mine["mean_speed"].mean(), rel=1e-12)
-    content = json.loads(cosim("results", "two", "--runs", "--format", "json", cwd=short).stdout)
+    content = json.loads(in_this_process(main, "results", "two", "--runs", "--format", "json", cwd=short).stdout)
     assert {run["policy"] for run in content["runs"]} == {"gri", "idm"}
-    page = cosim("results", "two", "--by", "policy", "--format", "md", cwd=short).stdout
+    page = in_this_process(main, "results", "two", "--by", "policy", "--format", "md", cwd=short).stdout
     table = [line for line in page.splitlines() if line.startswith("|")]
     assert len({len(re.split(r"(?<!\\)\|", line)) for line in table}) == 1
 

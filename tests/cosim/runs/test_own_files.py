@@ -8,6 +8,7 @@ import pytest
 import cosim
 from gri.resources import shipped
 
+pytestmark = pytest.mark.usefixtures("forked_workers")
 ROUTES = """<routes>
   <vType id="quick" sigma="0.4" speedFactor="normc(1,0.1,0.8,1.2)"/>
   <vType id="slow" carFollowModel="IDM" length="12" vClass="truck" speedFactor="0.8"/>

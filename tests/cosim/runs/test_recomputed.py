@@ -18,6 +18,7 @@ import pytest
 
 shapely = pytest.importorskip("shapely", reason="shapely is in the extra `test`")
 
+pytestmark = pytest.mark.usefixtures("forked_workers")
 AFTERMATH = 10.0  # [s] after the hand-back in which contacts count
 MEMBERS = ("0", "1", "2")
 SHIPPED = ("us101_car_following", "us101_merge", "i80_car_following", "i80_merge", "curved_merge")
@@ -312,17 +313,15 @@ def test_a_wrong_figure_is_found(merge, tmp_path, column):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [1, 2])
-@pytest.mark.parametrize("scenario", SHIPPED)
+@pytest.mark.parametrize(("seed", "scenario"), list(enumerate(SHIPPED, 1)))
 def test_shipped_scenarios(scenario, seed, tmp_path):
-    assert check(run(scenario, tmp_path / "run", seed, 30)) >= 20
+    assert check(run(scenario, tmp_path / "run", seed, 15)) >= 20
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not RECORDING.is_file(), reason="set NGSIM_US101 to a US-101 trajectory file to run this")
-@pytest.mark.parametrize("seed", [1, 2])
-def test_recorded_traffic(seed, tmp_path):
-    assert check(run("us101_replay", tmp_path / "run", seed, 30, recording=RECORDING)) >= 20
+def test_recorded_traffic(tmp_path):
+    assert check(run("us101_replay", tmp_path / "run", 1, 15, recording=RECORDING)) >= 20
 
 
 @pytest.mark.slow

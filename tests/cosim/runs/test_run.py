@@ -14,6 +14,8 @@ from gri.core.policy import ConstantVelocity
 from gri.errors import InputError
 from tests.cosim.conftest import write_short
 
+pytestmark = pytest.mark.usefixtures("forked_workers")
+
 
 class Coasting:
     """An own policy that lets its vehicles coast: no acceleration, and no graph worth the name."""
@@ -104,12 +106,12 @@ def test_only_a_run_folder_can_be_opened(tmp_path):
 
 def test_a_policy_may_be_an_object(scenario, tmp_path):
     """Also one of a class that the worker could not import, as in a notebook."""
-    run = cosim.run(scenario, Coasting(), folder=tmp_path / "coasting", seed=3)
+    run = cosim.run(scenario, Coasting(), folder=tmp_path / "coasting", seed=3, episodes=1)
     coasting = run.steps.query("driver == 'Coasting' and during_drive and driven")
     assert coasting.groupby(["episode", "role"])["v"].agg(lambda v: v.max() - v.min()).max() < 1e-6
     assert json.loads((run.folder / "scenario.json").read_text())["policy"]["object"].endswith(":Coasting")
     assert run.manifest["inputs"]["policy"]["file"] == "test_run.py"
-    named = cosim.run(scenario, "constant_velocity", folder=tmp_path / "named", seed=3)
+    named = cosim.run(scenario, "constant_velocity", folder=tmp_path / "named", seed=3, episodes=1)
     columns = ["s", "d", "v", "a", "gap"]
     pd.testing.assert_frame_equal(run.steps[columns], named.steps[columns])
 

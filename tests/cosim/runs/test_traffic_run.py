@@ -12,6 +12,7 @@ from cosim.spec.loading import load_scenario, override
 from gri.table import terminal_text
 from tests.cosim.runs.test_own_files import folder as folder
 
+pytestmark = pytest.mark.usefixtures("forked_workers")
 SHARES = {"acc": {"share": 0.2, "policy": {"kind": "sumo_model", "model": "ACC"}}}
 
 
