@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 import torch
 
-from cosim.loop.graph_source import graph_from_source, keep_where_unknown, on_same_pairs, smoothed
+from cosim.loop.graph_source import graph_from_source, keep_where_unknown, on_same_pairs, smoothed, with_edges
 from cosim.loop.guard import guard_of
 from cosim.loop.intervention import Intervention, NoIntervention
 from cosim.loop.observation import GroupObservation
@@ -29,7 +29,7 @@ from cosim.world.groups import order_of
 from cosim.world.road_frame import RoadFrame
 from cosim.world.snapshot import Snapshot
 from cosim.world.surroundings import Instant, Surroundings
-from gri.core.graph import InteractionGraph
+from gri.core.graph import EdgeType, InteractionGraph
 from gri.core.policy import Policy
 from gri.reference_drivers.drivers import DriverName
 
@@ -40,7 +40,9 @@ _S = COLUMNS.index("s")
 class Driver:
     """A policy with its name and the source of its graph, which is inferred again every `reinfer` steps (0: never).
 
-    A `reference` driver brakes on top of the policy; `safety` is the filter of its actions.
+    A `reference` driver brakes on top of the policy; `safety` is the filter of its actions. A driver that `predicts`
+    makes up for the latency of perturbed sensors (`cosim.perturb.state_predictor`). It drives `without` the edges of
+    these pairs (sender, receiver), whatever it infers.
     """
 
     name: str
@@ -49,6 +51,8 @@ class Driver:
     reinfer: int = 0
     reference: DriverName | None = None
     safety: RssFilter | None = None
+    predicts: bool = False
+    without: frozenset[tuple[int, int]] = frozenset()
 
 
 @dataclass(frozen=True)
@@ -98,12 +102,13 @@ def start_round(
         override_graph=partial(
             _graph_to_use,
             source=driver.graph,
+            without=driver.without,
             this_round=this_round,
             elapsed=driver.reinfer * this_round.dt,
             window=driver.policy.history_steps * driver.policy.dt,
         ),
         reinfer_steps=driver.reinfer,
-        channels=intervention.channels(layout, road, len(observations)),
+        channels=intervention.channels(layout, road, len(observations), predicts=driver.predicts),
         around=_around(intervention, now),
         guard=guard_of(driver.reference, driver.safety, this_round),
     )
@@ -121,6 +126,7 @@ def _graph_to_use(
     graph: InteractionGraph,
     last: InteractionGraph | None,
     source: GraphSource,
+    without: frozenset[tuple[int, int]],
     this_round: Round,
     elapsed: float,
     window: float,
@@ -128,7 +134,8 @@ def _graph_to_use(
     known = graph
     if last is not None:
         known = keep_where_unknown(smoothed(graph, last, source, elapsed, window), last, source)
-    return graph_from_source(known, source, this_round.rule, this_round.has_third_vehicle)
+    known = graph_from_source(known, source, this_round.rule, this_round.has_third_vehicle)
+    return with_edges(known, dict.fromkeys(without, EdgeType.NONE), this_round.size)
 
 
 @torch.inference_mode()

@@ -21,6 +21,11 @@ def graph_from_source(
     prescribed = dict(_prescribed(source, rule))
     if not has_third_vehicle:
         prescribed |= {pair: EdgeType.NONE for pair in pairs(rule.size) if 2 in pair}
+    return with_edges(graph, prescribed, rule.size)
+
+
+def with_edges(graph: InteractionGraph, prescribed: Mapping[tuple[int, int], EdgeType], size: int) -> InteractionGraph:
+    """The graph of `size` vehicles with these types of pairs (sender, receiver), all of them certain."""
     if not prescribed:
         return graph
     needed = {pair for pair, kind in prescribed.items() if kind is not EdgeType.NONE}
@@ -28,7 +33,7 @@ def graph_from_source(
         graph = graph.on(tuple(sorted(needed | set(graph.pairs))))
     which = torch.tensor([pair in prescribed for pair in graph.pairs])
     certain = InteractionGraph.of_edges(
-        prescribed, graph.vocabulary, rule.size, batch=len(graph), candidates=graph.candidates
+        prescribed, graph.vocabulary, size, batch=len(graph), candidates=graph.candidates
     )
     return replace(graph, logits=torch.where(which[:, None], certain.logits, graph.logits))
 

@@ -10,7 +10,7 @@ from cosim.loop.near_vehicles import Lookout
 from cosim.loop.reference_reaction import ReferenceReaction
 from cosim.loop.round_recorder import Round
 from cosim.loop.safety_filter import SafetyFilter
-from cosim.loop.state_layouts import Layout, PlanarLayout
+from cosim.loop.state_layouts import Layout
 from cosim.spec.scenario import RssFilter
 from cosim.world.episode import FilterUse
 from cosim.world.snapshot import Snapshot
@@ -31,16 +31,15 @@ class Guard:
     record: FilterRecord = field(default_factory=FilterRecord)
 
     def change(
-        self, state: Float[np.ndarray, "G 3 D"], action: Float[np.ndarray, "G 3 A"], now: Snapshot, layout: Layout
-    ) -> Float[np.ndarray, "G 3 A"]:
+        self, state: Float[np.ndarray, "G N D"], action: Float[np.ndarray, "G N A"], now: Snapshot, layout: Layout
+    ) -> Float[np.ndarray, "G N A"]:
         """The actions that the vehicles carry out instead of the policy's; `state` is that of the model."""
-        side = layout.side if isinstance(layout, PlanarLayout) else 1
         near = self.lookout.look(now, layout.pose(state))
         if self.reference is not None:
-            action = within(self.reference.limits(near), state, action, layout.dynamics, side, self.dt).action
+            action = within(self.reference.limits(near), state, action, layout, self.dt).action
         if self.safety is not None:
-            wanted = planned_across(state, action, layout.dynamics, side, self.dt)
-            limited = within(self.safety.limits(near, wanted), state, action, layout.dynamics, side, self.dt)
+            wanted = planned_across(state, action, layout, self.dt)
+            limited = within(self.safety.limits(near, wanted), state, action, layout, self.dt)
             self.record.add(now.time, limited)
             action = limited.action
         return action
@@ -54,10 +53,13 @@ def guard_of(reference: DriverName | None, safety: RssFilter | None, this_round:
     """The guard of a round; None where nothing stands between policy and vehicles."""
     if reference is None and safety is None:
         return None
-    dt = this_round.dt
+    dt, lanes = this_round.dt, this_round.lanes
+    beside = lanes if lanes is not None and lanes.path is None else None  # on a ramp of its own nobody is beside it
     return Guard(
         lookout=Lookout(this_round.groups),
-        reference=None if reference is None else ReferenceReaction(reference, len(this_round.groups), dt),
-        safety=None if safety is None else SafetyFilter(safety, dt),
+        reference=None
+        if reference is None
+        else ReferenceReaction(reference, len(this_round.groups), dt, this_round.size),
+        safety=None if safety is None else SafetyFilter(safety, dt, beside),
         dt=dt,
     )

@@ -103,8 +103,8 @@ class Intervention:
         changed |= {change.plan.vehicle for change in self.changes if change.plan is not None}
         return replace(self, ahead=speeds.of({*vehicles_ahead(self.round.groups, now)} - changed))
 
-    def channels(self, layout: Layout, road: RoadFrame, history_steps: int) -> SensingAndControl:
-        """The perturbed sensors and actuators of this round, history included."""
+    def channels(self, layout: Layout, road: RoadFrame, history_steps: int, predicts: bool) -> SensingAndControl:
+        """The perturbed sensors and actuators of this round, history included, and a state predictor if asked for."""
         names = tuple(" ".join(group.ids) for group in self.round.groups)
 
         def curvature(state: Tensor) -> Tensor:
@@ -120,6 +120,7 @@ class Intervention:
             driven_roles=self.round.driven_roles,
             curvature=curvature,
             size=self.round.size,
+            predicts=predicts,
         )
         return sensing_and_control(self.perturbations, setting)
 
@@ -235,9 +236,9 @@ class NoIntervention:
         """The same, in which the vehicles ahead repeat their speeds."""
         return self if speeds is None else replace(self, ahead=speeds.of({*vehicles_ahead(self.round.groups, now)}))
 
-    def channels(self, layout: Layout, road: RoadFrame, history_steps: int) -> SensingAndControl:
+    def channels(self, layout: Layout, road: RoadFrame, history_steps: int, predicts: bool) -> SensingAndControl:
         """Perfect sensors and actuators."""
-        del road, history_steps
+        del road, history_steps, predicts
         return SensingAndControl(layout.dynamics, view_of=(0,) * self.round.size)
 
     def displaced_start(self, observation: GroupObservation) -> GroupObservation:

@@ -5,70 +5,83 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Bool, Float
 
+from cosim.loop.state_layouts import Layout, PlanarLayout
 from cosim.world.episode import FilterUse
-from gri.core.dynamics import Dynamics
 
 NOTABLE = 0.05  # [m/s²], from which on a changed acceleration counts
-LATERAL_ACCELERATION = 5.0  # [m/s²] at most where lateral motion is stopped
-SLOWEST = 1.0  # [m/s], below which headings are not changed
+LATERAL_ACCELERATION = 3.0  # [m/s²] at most where the filter steers
+SLOWEST = 1.0  # [m/s], below which a lateral speed asks for no greater heading
+LATERAL_GAIN, HEADING_GAIN = 0.8, 2.5  # [1/s]
+LATERAL_SPEED, GREATEST_HEADING = 1.2, 0.2  # [m/s], [rad]
 
 
 @dataclass(frozen=True)
 class Limits:
-    """The greatest acceleration [m/s²] of the next step (inf: none), and a lateral speed to the left (NaN: none)."""
+    """The greatest and least acceleration [m/s²] of the next step, and the lateral position d [m] to steer to.
 
-    along: Float[np.ndarray, "G 3"]
-    across: Float[np.ndarray, "G 3"]
+    Where that `place` is NaN, the policy steers. The greatest acceleration counts if both contradict each other.
+    """
+
+    along: Float[np.ndarray, "G N"]
+    place: Float[np.ndarray, "G N"]
+    least: Float[np.ndarray, "G N"]
 
 
 @dataclass(frozen=True)
 class Limited:
-    """Actions within limits: `action`, by how much the acceleration was reduced [m/s²], and where steering changed."""
+    """Actions within limits: `action`, by how much the acceleration changed [m/s²], and where steering changed."""
 
-    action: Float[np.ndarray, "G 3 A"]
-    reduced: Float[np.ndarray, "G 3"]
-    steered: Bool[np.ndarray, "G 3"]
+    action: Float[np.ndarray, "G N A"]
+    changed: Float[np.ndarray, "G N"]
+    steered: Bool[np.ndarray, "G N"]
 
 
 def planned_across(
-    state: Float[np.ndarray, "G 3 D"], action: Float[np.ndarray, "G 3 A"], dynamics: Dynamics, side: int, dt: float
-) -> Float[np.ndarray, "G 3"]:
+    state: Float[np.ndarray, "G N D"], action: Float[np.ndarray, "G N A"], layout: Layout, dt: float
+) -> Float[np.ndarray, "G N"]:
     """The lateral speed [m/s] to the left to which an action leads; 0 for a vehicle that cannot steer."""
-    if "heading" not in dynamics.state:
+    if not isinstance(layout, PlanarLayout):
         return np.zeros(state.shape[:2])
+    dynamics = layout.dynamics
     heading, yaw_rate = (state[..., dynamics.index(name)] for name in ("heading", "yaw_rate"))
     later = heading + yaw_rate * dt + (yaw_rate + action[..., 1] * dt) * dt
-    return side * state[..., dynamics.speed] * np.sin(later)
+    return layout.side * state[..., dynamics.speed] * np.sin(later)
 
 
 def within(
-    limits: Limits,
-    state: Float[np.ndarray, "G 3 D"],
-    action: Float[np.ndarray, "G 3 A"],
-    dynamics: Dynamics,
-    side: int,
-    dt: float,
+    limits: Limits, state: Float[np.ndarray, "G N D"], action: Float[np.ndarray, "G N A"], layout: Layout, dt: float
 ) -> Limited:
-    """The actions within the limits; `side` is −1 where the model's lateral axis points to the right.
-
-    The first action is the jerk. Where the lateral speed is limited, the yaw rate of the next step turns the vehicle to
-    the heading of that speed.
-    """
-    changed = action.copy()
+    """The actions within the limits. The first action is the jerk."""
+    new, dynamics = action.copy(), layout.dynamics
     a = state[..., dynamics.index("a")]
     following = a + action[..., 0] * dt
-    reduced = np.maximum(following - limits.along, 0.0)
-    changed[..., 0] = np.where(reduced > 0, (limits.along - a) / dt, action[..., 0])
-    reduced = np.where(reduced > NOTABLE, reduced, 0.0)
-    if "heading" not in dynamics.state:
-        return Limited(changed, reduced, np.zeros(reduced.shape, dtype=bool))
-    heading, yaw_rate = (state[..., dynamics.index(name)] for name in ("heading", "yaw_rate"))
-    v = np.maximum(state[..., dynamics.speed], SLOWEST)
-    steered = ~np.isnan(limits.across)
-    wanted = np.arcsin(np.clip(side * np.where(steered, limits.across, 0.0) / v, -0.3, 0.3))
-    turn = np.clip((wanted - heading - yaw_rate * dt) / dt, -LATERAL_ACCELERATION / v, LATERAL_ACCELERATION / v)
-    changed[..., 1] = np.where(steered, (turn - yaw_rate) / dt, action[..., 1])
-    return Limited(changed, reduced, steered)
+    allowed = np.minimum(np.maximum(following, limits.least), limits.along)
+    new[..., 0] = np.where(allowed != following, (allowed - a) / dt, action[..., 0])
+    changed = np.abs(allowed - following)
+    changed = np.where(changed > NOTABLE, changed, 0.0)
+    if not isinstance(layout, PlanarLayout):
+        return Limited(new, changed, np.zeros(changed.shape, dtype=bool))
+    steered = ~np.isnan(limits.place)
+    new[..., 1] = np.where(steered, _yaw_acceleration_to(limits.place, state, layout, dt), action[..., 1])
+    return Limited(new, changed, steered)
+
+
+def _yaw_acceleration_to(
+    place: Float[np.ndarray, "G N"], state: Float[np.ndarray, "G N 6"], layout: PlanarLayout, dt: float
+) -> Float[np.ndarray, "G N"]:
+    """The yaw acceleration [rad/s²] that brings a vehicle to the place, without swinging.
+
+    The lateral speed is proportional to the way that is left, the yaw rate to the heading that is missing. The heading
+    of the next step is decided already.
+    """
+    y, heading, yaw_rate = (state[..., layout.dynamics.index(name)] for name in ("y", "heading", "yaw_rate"))
+    v = np.maximum(state[..., layout.dynamics.speed], SLOWEST)
+    left = layout.side * (np.where(np.isnan(place), 0.0, place) - layout.target) - y
+    lateral = np.clip(LATERAL_GAIN * left, -LATERAL_SPEED, LATERAL_SPEED)
+    wanted = np.clip(np.arcsin(np.clip(lateral / v, -1.0, 1.0)), -GREATEST_HEADING, GREATEST_HEADING)
+    greatest = LATERAL_ACCELERATION / v
+    turn = np.clip(HEADING_GAIN * (wanted - heading - yaw_rate * dt), -greatest, greatest)
+    return (turn - yaw_rate) / dt
 
 
 class FilterRecord:
@@ -84,8 +97,8 @@ class FilterRecord:
     def of(self, group: int, roles: list[int], end: float) -> FilterUse:
         """The use in one group up to its `end` [s]."""
         kept = [limited for time, limited in self._steps if time < end - 1e-6]
-        reduced = np.array([limited.reduced[group, roles] for limited in kept])
+        changed = np.array([limited.changed[group, roles] for limited in kept])
         steered = np.array([limited.steered[group, roles] for limited in kept])
         if not kept:
             return FilterUse(0.0, 0.0, 0.0)
-        return FilterUse(float((reduced > 0).mean()), float(steered.mean()), float(reduced.max()))
+        return FilterUse(float((changed > 0).mean()), float(steered.mean()), float(changed.max()))

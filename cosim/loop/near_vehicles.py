@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from cosim.loop.state_layouts import Pose
 from cosim.world.groups import Group
@@ -19,43 +19,45 @@ class NearVehicles:
 
     `pose` and `across` (the lateral speed to the left) are those of the groups; the arrays of V are those of everybody.
     s [m] is the front bumper, d [m] the centre line, v and across are in m/s, sizes in m. Members of the groups are
-    where the loop has put them. `other` says which of the V is another vehicle than the member.
+    where the loop has put them. `other` says which of the V is another vehicle than the member, `row` which of the V
+    the member is (0 where it is absent).
     """
 
     pose: Pose
-    across: Float[np.ndarray, "G 3"]
-    length: Float[np.ndarray, "G 3"]
-    width: Float[np.ndarray, "G 3"]
+    across: Float[np.ndarray, "G N"]
+    length: Float[np.ndarray, "G N"]
+    width: Float[np.ndarray, "G N"]
     s: Float[np.ndarray, " V"]
     d: Float[np.ndarray, " V"]
     v: Float[np.ndarray, " V"]
     across_of: Float[np.ndarray, " V"]
     length_of: Float[np.ndarray, " V"]
     width_of: Float[np.ndarray, " V"]
-    other: Bool[np.ndarray, "G 3 V"]
+    other: Bool[np.ndarray, "G N V"]
+    row: Int[np.ndarray, "G N"]
 
     @property
-    def gap_ahead(self) -> Float[np.ndarray, "G 3 V"]:
+    def gap_ahead(self) -> Float[np.ndarray, "G N V"]:
         """Net distance [m] along the road to a vehicle ahead; below 0 where it is beside or behind."""
         return self.s - self.length_of - self.pose.s[..., None]
 
     @property
-    def gap_behind(self) -> Float[np.ndarray, "G 3 V"]:
+    def gap_behind(self) -> Float[np.ndarray, "G N V"]:
         """Net distance [m] along the road to a vehicle behind; below 0 where it is beside or ahead."""
         return (self.pose.s - self.length)[..., None] - self.s
 
     @property
-    def ahead(self) -> Bool[np.ndarray, "G 3 V"]:
+    def ahead(self) -> Bool[np.ndarray, "G N V"]:
         """Whether another vehicle's front is farther along the road."""
         return self.other & (self.s >= self.pose.s[..., None])
 
     @property
-    def side_gap(self) -> Float[np.ndarray, "G 3 V"]:
+    def side_gap(self) -> Float[np.ndarray, "G N V"]:
         """Net distance [m] across the road; below 0 where the vehicles overlap sideways."""
         return np.abs(self.d - self.pose.d[..., None]) - (self.width[..., None] + self.width_of) / 2
 
     @property
-    def direction(self) -> Float[np.ndarray, "G 3 V"]:
+    def direction(self) -> Float[np.ndarray, "G N V"]:
         """+1 where the other vehicle is on the left, −1 where it is on the right."""
         return np.where(self.d >= self.pose.d[..., None], 1.0, -1.0)
 
@@ -71,8 +73,9 @@ class Lookout:
         """The vehicles of a snapshot, with the members of the groups where `pose` says."""
         s, d, v, across = now.s.copy(), now.d.copy(), now.v.copy(), self._across(now)
         own_across = pose.v * np.sin(pose.heading)
-        other = np.ones((len(self._groups), 3, len(s)), dtype=bool)
+        other = np.ones((*pose.s.shape, len(s)), dtype=bool)
         length, width = np.full(pose.s.shape, 5.0), np.full(pose.s.shape, 1.8)
+        rows = np.zeros(pose.s.shape, dtype=int)
         for g, group in enumerate(self._groups):
             for role, vehicle in enumerate(group.ids):
                 row = now.row_of.get(vehicle)
@@ -81,8 +84,8 @@ class Lookout:
                 s[row], d[row], v[row] = pose.s[g, role], pose.d[g, role], pose.v[g, role]
                 across[row] = own_across[g, role]
                 length[g, role], width[g, role] = now.length[row], now.width[row]
-                other[g, role, row] = False
-        return NearVehicles(pose, own_across, length, width, s, d, v, across, now.length, now.width, other)
+                other[g, role, row], rows[g, role] = False, row
+        return NearVehicles(pose, own_across, length, width, s, d, v, across, now.length, now.width, other, rows)
 
     def _across(self, now: Snapshot) -> Float[np.ndarray, " V"]:
         """Lateral speeds [m/s] from the last look; 0 for vehicles that have just come or jumped to another lane."""

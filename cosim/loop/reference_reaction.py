@@ -6,6 +6,7 @@ import numpy as np
 
 from cosim.loop.limits import Limits
 from cosim.loop.near_vehicles import NearVehicles
+from cosim.spec.scenario import USUAL_SIZE
 from gri.reference_drivers.drivers import DRIVERS, DriverName, Judgement, Situation
 from gri.reference_drivers.reaction import Reaction, react
 
@@ -16,15 +17,15 @@ NEAR_SIDE = 6.0  # [m] across the road, beyond which a vehicle is no matter
 
 
 class ReferenceReaction:
-    """The reactions of one reference driver in each vehicle of the groups; `dt` [s] is the step of the loop.
+    """The reactions of one reference driver in each vehicle of groups of one `size`; `dt` [s] is the step of the loop.
 
     Each driver judges all vehicles near it at once, and brakes as hard as the worst of them asks for. Unlike in the
     grid of cut-ins, the base driver goes on where there is no risk, and the reaction begins anew after a quiet second.
     """
 
-    def __init__(self, name: DriverName, groups: int, dt: float) -> None:
+    def __init__(self, name: DriverName, groups: int, dt: float, size: int = USUAL_SIZE) -> None:
         self._driver, self._dt = DRIVERS[name], dt
-        self._memory, self._quiet = Reaction.none(groups, 3), np.zeros((groups, 3))
+        self._memory, self._quiet = Reaction.none(groups, size), np.zeros((groups, size))
         self._last_v: np.ndarray | None = None
 
     def limits(self, near: NearVehicles) -> Limits:
@@ -38,7 +39,8 @@ class ReferenceReaction:
         everything = Judgement(anywhere, worst, np.zeros_like(anywhere))
         before = self._memory.forgotten(self._quiet > QUIET)
         deceleration, self._memory = react(self._driver, everything, before, self._dt)
-        return Limits(np.where(deceleration > 0, -deceleration, np.inf), np.full(anywhere.shape, np.nan))
+        none = np.full(anywhere.shape, np.nan)
+        return Limits(np.where(deceleration > 0, -deceleration, np.inf), none, np.full(anywhere.shape, -np.inf))
 
     def _situation(self, near: NearVehicles) -> Situation:
         pose, last = near.pose, self._last_v

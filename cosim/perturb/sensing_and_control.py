@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from cosim.perturb.effects import Effect, delay_between
+from cosim.perturb.state_predictor import StatePredictor
 from cosim.perturb.traffic_demand import GRAVITY
 from cosim.spec.perturbations import (
     ActionDelay,
@@ -44,7 +45,7 @@ class RoundSetting:
 
     `names` identify its groups of `size` vehicles, `driven_roles` are the roles that the policy drives, `steps` is the
     largest number of observations, those of the history included, `dt` [s] is the length of a step. `curvature` gives
-    the curvature of the road [1/m] at the place of each vehicle.
+    the curvature of the road [1/m] at the place of each vehicle. A policy that `predicts` knows the latencies.
     """
 
     dynamics: Dynamics
@@ -55,6 +56,7 @@ class RoundSetting:
     driven_roles: tuple[int, ...]
     curvature: Callable[[States], Float[Tensor, "G N"]]
     size: int = USUAL_SIZE
+    predicts: bool = False
 
 
 @dataclass(frozen=True)
@@ -157,6 +159,7 @@ class SensingAndControl:
 
     Each of the `views` is what one driven vehicle, or all of them together (a single view), observe of the group.
     `known[view, role, feature]` is known without observing it. `view_of[role]` is the view by which a role is driven.
+    A `predictor` makes up for latencies.
     """
 
     dynamics: Dynamics
@@ -166,6 +169,7 @@ class SensingAndControl:
     view_of: tuple[int, ...] = (0,) * USUAL_SIZE
     driven_roles: tuple[int, ...] = ()
     road: Road | None = None
+    predictor: StatePredictor | None = None
 
     @property
     def views(self) -> int:
@@ -178,7 +182,9 @@ class SensingAndControl:
         if not self.observation.stages:
             return views
         shown = self.observation.send(views) if final else self.observation.preview(views)
-        return shown if self.known is None else torch.where(self.known[:, None], views, shown)
+        if self.known is not None:
+            shown = torch.where(self.known[:, None], views, shown)
+        return shown if self.predictor is None else self.predictor.predicted(shown, final=final)
 
     def executed_action(self, action: Float[Tensor, "G N A"]) -> Float[Tensor, "G N A"]:
         """The action that the vehicle executes."""
@@ -218,6 +224,11 @@ def sensing_and_control(perturbations: Sequence[Perturbation], setting: RoundSet
                 action.append(_action_delay(spec, setting))
             case LowFriction():
                 frictions.append(spec)
+    late = {
+        kind: sum(delay_steps(spec.intensity, setting.dt) for spec in perturbations if isinstance(spec, kind))
+        for kind in (PerceptionLatency, LocalizationLatency)
+    }
+    predictor = StatePredictor(setting.dynamics, setting.dt, late[PerceptionLatency], late[LocalizationLatency], own)
     slippery = min(frictions, key=lambda spec: spec.intensity, default=None)
     feels = torch.tensor([name in OWN for name in setting.dynamics.state])
     return SensingAndControl(
@@ -228,6 +239,7 @@ def sensing_and_control(perturbations: Sequence[Perturbation], setting: RoundSet
         view_of=tuple(next((k for k, roles in enumerate(views) if role in roles), 0) for role in range(setting.size)),
         driven_roles=setting.driven_roles,
         road=None if slippery is None else Road(slippery, slippery.intensity * GRAVITY, setting.curvature),
+        predictor=predictor if setting.predicts and own_views else None,
     )
 
 

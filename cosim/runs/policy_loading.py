@@ -37,7 +37,13 @@ def driver_of(scenario: spec.Scenario, own: Policy | None = None) -> Driver | No
         policy = OwnPolicy(policy, scenario.policy.decision_limit)
     reference = reference_of(scenario.policy) if own is None else None
     return Driver(
-        name, policy, scenario.graph, scenario.steps(scenario.reinfer_s), reference=reference, safety=scenario.safety
+        name,
+        policy,
+        scenario.graph,
+        scenario.steps(scenario.reinfer_s),
+        reference=reference,
+        safety=scenario.safety,
+        predicts=scenario.predictor != "none",
     )
 
 

@@ -75,11 +75,16 @@ class RssFilter(Spec, frozen=True, kw_only=True, tag_field="kind", tag="rss"):
 
     Along the road, a driven vehicle must be able to stop `margin` [m] behind whoever is next ahead in its path, in or
     out of the group, if that one brakes by `other_braking` and it brakes itself by `braking` [m/s²]. Across the road,
-    it moves no closer than `margin_across` [m] to an occupied place. The filter knows the true states, whatever
-    perturbs the policy's sensors.
+    it moves no closer than `margin_across` [m] to an occupied place, and stays on the road; where it may not move over,
+    it is steered back to its lane. A merge gets help if the lane ends within `merge_within` [s]: vehicles make room,
+    the filter moves over where the policy has hesitated for `patience` [s] although there was room, and stops before
+    the end of the lane where there is none. 0: no help. The filter knows the true states, whatever perturbs the
+    policy's sensors.
     """
 
     braking: Annotated[float, Meta(ge=1, le=12)] = 8.0
     other_braking: Annotated[float, Meta(ge=1, le=12)] = 8.0
     margin: Annotated[float, Meta(ge=0, le=20)] = 1.0
     margin_across: Annotated[float, Meta(ge=0, le=5)] = 0.5
+    merge_within: Annotated[float, Meta(ge=0, le=60)] = 10.0
+    patience: Annotated[float, Meta(ge=0, le=60)] = 2.0

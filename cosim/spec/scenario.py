@@ -193,15 +193,15 @@ class Scenario(Spec, frozen=True, kw_only=True):
     """One closed-loop experiment. Durations in s; `traffic` may be the name or path of a traffic file.
 
     The policy drives the roles in `driven`, by default all but the leader, within what the filter `safety` allows (by
-    default there is none); SUMO drives the others. `graph` is the
-    source of the graph. It is inferred at the take-over, and again every `reinfer_s` from the latest states if this is
-    not 0. A simulation step lasts `step`; the policy decides every `policy_period`, a multiple of it (0: in every step,
-    or as often as it was trained to). The history before the take-over lasts `history`. The policy drives for up to
-    `horizon`; then the group is observed for `watch`, and the next groups are taken over after a further `rest`. A run
-    ends after `episodes` groups, however their drives end, or `time_limit` after the warm-up; at most `groups_at_once`
-    are driven at the same time. With `surroundings` the run has a table of the vehicles around the groups. A batch
-    leaves it out unless its `overrides` say true. A run is refused if it may need more than `max_work` times the usual
-    limits of steps, vehicles and memory.
+    default there is none); SUMO drives the others. Under a latency, a `predictor` shows it what the late states are
+    probably now. `graph` is the source of the graph. It is inferred at the take-over, and again every `reinfer_s` from
+    the latest states if this is not 0. A simulation step lasts `step`; the policy decides every `policy_period`, a
+    multiple of it (0: in every step, or as often as it was trained to). The history before the take-over lasts
+    `history`. The policy drives for up to `horizon`; then the group is observed for `watch`, and the next groups are
+    taken over after a further `rest`. A run ends after `episodes` groups, however their drives end, or `time_limit`
+    after the warm-up; at most `groups_at_once` are driven at the same time. With `surroundings` the run has a table of
+    the vehicles around the groups. A batch leaves it out unless its `overrides` say true. A run is refused if it may
+    need more than `max_work` times the usual limits of steps, vehicles and memory.
 
     With `share` or `shares` there are no groups: `policy` drives this share of all entering vehicles, from entry to
     exit, and each of the named `shares` another one, for `time_limit` after the warm-up (docs/penetration.md).
@@ -217,6 +217,7 @@ class Scenario(Spec, frozen=True, kw_only=True):
     graph: GraphSource = field(default_factory=Inferred)
     reinfer_s: Duration = 0.0
     safety: RssFilter | None = None
+    predictor: Literal["none", "constant_acceleration"] = "none"
     driven: Annotated[tuple[Role, ...], Meta(min_length=1, max_length=7)] | None = None
     perturbations: Annotated[tuple[Perturbation, ...], Meta(max_length=20)] = ()
     seed: Seed = 1

@@ -44,6 +44,8 @@ def check_shares(scenario: "Scenario", replayed: bool) -> None:
             raise ValueError(f"the share {name!r} has a reference driver, which drives groups; expected another policy")
     if scenario.safety is not None:
         raise ValueError("safety filters the policy of groups, but a share drives single vehicles; remove one of both")
+    if scenario.predictor != "none":
+        raise ValueError("predictor is for the policy of groups, which a perturbation shows late states; remove it")
     if replayed:
         raise ValueError("background replays a recording, but a share drives simulated traffic; remove one of both")
     for change in scenario.perturbations:

@@ -25,7 +25,7 @@ from cosim.runs.traffic_effects import traffic_effects
 from cosim.spec.input_files import find_net
 from cosim.spec.scenario import Scenario
 from cosim.stress.parts import write_part
-from cosim.stress.plan import Cell, Chunk, perturbed_scenario, safety_of
+from cosim.stress.plan import Cell, Chunk, perturbed_scenario, scenario_for
 from cosim.stress.result_rows import result_row
 from cosim.traffic.running_simulation import RunningSimulation, simulation
 from cosim.traffic.scratch_files import scratch_files
@@ -80,10 +80,7 @@ def chunk_rows(chunk: Chunk, tell: Callable[..., None], scratch: Path | None = N
     if not CAN_FORK:
         raise InputError("stress tests share one warm-up by forking the process, which this system cannot")
     scenario, rows, effects, starts = chunk.scenario, [], [], 0
-    drivers = {
-        name: driver_of(replace(scenario, policy=policy, safety=safety_of(name, scenario)))
-        for name, policy in chunk.policies.items()
-    }
+    drivers = {name: driver_of(scenario_for(name, policy, scenario)) for name, policy in chunk.policies.items()}
     cells = {cell: perturbed_scenario(scenario, cell) for cell in chunk.cells}
     with scratch_files(find_net(scenario.net), scratch) as files:
         inputs = prepare_simulation(replace(scenario, perturbations=()), files, scenario.time_limit)

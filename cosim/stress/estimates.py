@@ -69,7 +69,7 @@ def counts(rows: pd.DataFrame) -> pd.DataFrame:
 
     Columns: starts, infeasible (with reasons in `why`), broken_up (by cause, e.g. "1 policy"), n (counted), and hits
     (contacts, e.g. "2 0→1"). `filter` says in which share of the steps of driven vehicles the safety filter intervened
-    along and across the road, and its greatest reduction of an acceleration; it is empty without a filter.
+    along and across the road, and its greatest change of an acceleration; it is empty without a filter.
     """
     found = []
     for key, part in rows.groupby(CELL, dropna=False, sort=False):

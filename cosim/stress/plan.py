@@ -37,7 +37,7 @@ from cosim.spec.scenario import (
 )
 from gri.errors import InputError
 
-FORMAT = 6  # of the rows of a chunk; with a new number every chunk is computed again
+FORMAT = 7  # of the rows of a chunk; with a new number every chunk is computed again
 NOMINAL = "nominal"
 STARTS_PER_CHUNK = 10
 GROUPS_AT_ONCE = 12
@@ -57,7 +57,7 @@ BASELINES: dict[str, Driver] = {
     "rss": Rss(),
     "sumo": LeftToSumo(),
 }
-FILTERED = "+rss"  # after the name of a policy: with the safety filter
+FILTERED, PREDICTING = "rss", "predict"  # with a + after the name of a policy: the safety filter, the state predictor
 
 
 @dataclass(frozen=True)
@@ -223,16 +223,18 @@ def policies_of(names: Sequence[str], scenario: Scenario) -> dict[str, Driver]:
     """The policies by name: a baseline, a released checkpoint, or the path of a checkpoint.
 
     `gri` is the checkpoint C that the scenario names; another word W, such as `supervised`, is the checkpoint "C_W" if
-    there is one. A name with FILTERED at its end is the policy with the safety filter (`safety_of`). Raises
-    `InputError` for an unknown checkpoint or a name given twice.
+    there is one. Names with additions, such as `gri+predict+rss`, are rows of their own (`scenario_for`). Raises
+    `InputError` for an unknown checkpoint, an addition that makes no sense, or a name given twice.
     """
     found: dict[str, Driver] = {}
     for whole in names:
-        name, filtered = whole.removesuffix(FILTERED), FILTERED * whole.endswith(FILTERED)
-        if filtered and name == "sumo":
-            raise InputError("--policy: got sumo+rss, but SUMO's own drivers have no filter; leave out +rss")
+        name, added = _parts(whole)
+        if added and name == "sumo":
+            raise InputError(
+                f"--policy: got {whole}, but SUMO's own drivers have no filter and no predictor; write sumo"
+            )
         if name in BASELINES:
-            found[name + filtered] = BASELINES[name]
+            found[whole] = BASELINES[name]
             continue
         candidates = [name]
         if isinstance(scenario.policy, TrainedPolicy):
@@ -241,15 +243,27 @@ def policies_of(names: Sequence[str], scenario: Scenario) -> dict[str, Driver]:
         known = [candidate for candidate in candidates if _exists(candidate)]
         checkpoint = known[0] if known else name
         checkpoint_path(checkpoint, "--policy")  # raises if there is no such checkpoint
-        found[name.removesuffix(".safetensors").rpartition("/")[2] + filtered] = TrainedPolicy(checkpoint=checkpoint)
+        short = name.removesuffix(".safetensors").rpartition("/")[2]
+        found["+".join([short, *added])] = TrainedPolicy(checkpoint=checkpoint)
     if len(found) < len(names):
         raise InputError(f"--policy: got {', '.join(names)}, expected each policy once, by different names")
     return found
 
 
-def safety_of(name: str, scenario: Scenario) -> RssFilter | None:
-    """The safety filter of the policy of that name: the scenario's own, or the usual one with FILTERED in the name."""
-    return scenario.safety or (RssFilter() if name.endswith(FILTERED) else None)
+def scenario_for(name: str, policy: Driver, scenario: Scenario) -> Scenario:
+    """The scenario with the policy of that name, and with the usual filter and predictor that the name asks for."""
+    _, added = _parts(name)
+    safety = scenario.safety or (RssFilter() if FILTERED in added else None)
+    predictor = "constant_acceleration" if PREDICTING in added else scenario.predictor
+    return replace(scenario, policy=policy, safety=safety, predictor=predictor)
+
+
+def _parts(whole: str) -> tuple[str, list[str]]:
+    """The name of a policy without its additions, and these."""
+    name, added = whole, []
+    while (last := name.rpartition("+"))[2] in (FILTERED, PREDICTING):
+        name, added = last[0], [last[2], *added]
+    return name, added
 
 
 def _exists(checkpoint: str) -> bool:

@@ -78,8 +78,8 @@ class LaneEntry:
 class FilterUse:
     """How the safety filter changed the actions of the driven vehicles during a drive.
 
-    `along` and `across` are shares of all steps of driven vehicles: with an acceleration reduced by more than 0.05
-    m/s², and with lateral motion stopped. `hardest` [m/s²] is the greatest reduction.
+    `along` and `across` are shares of all steps of driven vehicles: with an acceleration changed by more than 0.05
+    m/s², and steered by the filter. `hardest` [m/s²] is the greatest change.
     """
 
     along: float

@@ -32,11 +32,16 @@ def snapshot(vehicles: Sequence[Vehicle], time: float, dt: float = 0.0) -> Snaps
     )
 
 
-def near(own: Vehicle, *others: Vehicle, a: float = 0.0) -> NearVehicles:
-    """Vehicle 0 of a group at `own`, the members 1 and 2 far away, and others."""
-    members = [own, (-FAR, 0.0, 10.0, 0.0), (FAR, 0.0, 10.0, 0.0)]
-    lookout = Lookout([Group(("a", "b", "c"), 0.0)])
+def near(
+    own: Vehicle,
+    *others: Vehicle,
+    a: float = 0.0,
+    members: Sequence[Vehicle] = ((-FAR, 0.0, 10.0, 0.0), (FAR, 0.0, 10.0, 0.0)),
+) -> NearVehicles:
+    """Vehicle 0 of a group at `own`, the other members, by default far away, and others."""
+    members = [own, *members]
+    lookout = Lookout([Group(tuple("abcdefgh"[: len(members)]), 0.0)])
     s, d, v, across = (np.array([column]) for column in zip(*members, strict=True))
-    pose = Pose(s, d, np.arcsin(across / np.maximum(v, 1e-9)), v, np.array([[a, 0.0, 0.0]]))
+    pose = Pose(s, d, np.arcsin(across / np.maximum(v, 1e-9)), v, np.array([[a] + [0.0] * (len(members) - 1)]))
     lookout.look(snapshot([*members, *others], 0.0, dt=0.2), pose)
     return lookout.look(snapshot([*members, *others], 0.0), pose)

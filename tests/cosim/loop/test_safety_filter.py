@@ -4,19 +4,38 @@ import numpy as np
 import pytest
 
 from cosim.loop.limits import FilterRecord, Limited, Limits, planned_across, within
-from cosim.loop.safety_filter import SafetyFilter
+from cosim.loop.safety_filter import LANE_CHANGE, SafetyFilter
+from cosim.loop.state_layouts import LongitudinalLayout, PlanarLayout
 from cosim.spec.scenario import RssFilter
-from gri.core.dynamics import DUBINS, POINT_MASS_1D
+from cosim.world.groups import MergeLanes
+from cosim.world.road_frame import RoadFrame
+from cosim.world.snapshot import LaneStrip
+from gri.core.dynamics import DUBINS
 from tests.cosim.loop.near import near
 
 DT = 0.2
-FILTER = SafetyFilter(RssFilter(), DT)
+# The lane of vehicle 0 ends at s = 300 m; the target lane is on its left.
+LANES = MergeLanes(LaneStrip("source", -500.0, 300.0, 0.0, 3.5), LaneStrip("target", -500.0, 2000.0, 3.5, 3.5))
 
 
 def limits(*vehicles, planned: float = 0.0, a: float = 0.0) -> tuple[float, float]:
-    """The greatest acceleration of vehicle 0 and its lateral speed to the left (NaN where it is free)."""
-    found = FILTER.limits(near(*vehicles, a=a), np.array([[planned, 0.0, 0.0]]))
-    return float(found.along[0, 0]), float(found.across[0, 0])
+    """The greatest acceleration of vehicle 0, and the place to which it is steered (NaN where the policy steers)."""
+    found = SafetyFilter(RssFilter(), DT).limits(near(*vehicles, a=a), np.array([[planned, 0.0, 0.0]]))
+    return float(found.along[0, 0]), float(found.place[0, 0])
+
+
+def merging(own, *others, planned: float = 0.0, steps: int = 1, **rss) -> tuple[float, float, float]:
+    """Greatest and least acceleration of vehicle 0 on the lane that ends, and its place, after some equal steps."""
+    safety = SafetyFilter(RssFilter(**rss), DT, LANES)
+    for _ in range(steps):
+        found = safety.limits(near(own, *others), np.array([[planned, 0.0, 0.0]]))
+    return float(found.along[0, 0]), float(found.least[0, 0]), float(found.place[0, 0])
+
+
+def planar(side: int = 1) -> PlanarLayout:
+    """The layout of one group whose target lane is at d = 0."""
+    road = RoadFrame(np.array([[0.0, 0.0], [1000.0, 0.0]]))
+    return PlanarLayout(np.zeros((1, 3)), np.zeros((1, 1)), road, side)
 
 
 @pytest.mark.parametrize(("v", "gap", "v_ahead"), [(15.0, 40.0, 0.0), (15.0, 12.0, 15.0), (25.0, 40.0, 20.0)])
@@ -58,40 +77,108 @@ def test_a_vehicle_that_moves_into_the_lane_counts_before_it_is_there_but_with_c
     ],
 )
 def test_lateral_motion_stops_before_an_occupied_place(other, free):
-    across = limits((0.0, 0.0, 15.0, 0.0), other, planned=1.2)[1]
-    assert np.isnan(across) == free
+    place = limits((0.0, 0.0, 15.0, 0.0), other, planned=1.2)[1]
+    assert np.isnan(place) == free
     assert np.isnan(limits((0.0, 0.0, 15.0, 0.0), other)[1]), "without lateral motion there is nothing to stop"
 
 
 def test_a_vehicle_that_is_too_close_across_the_road_is_left():
-    assert limits((0.0, 0.0, 15.0, 0.2), (0.0, 2.2, 15.0, 0.0), planned=0.5)[1] == -0.5
+    assert limits((0.0, 0.0, 15.0, 0.2), (0.0, 2.2, 15.0, 0.0), planned=0.5)[1] == pytest.approx(-0.2)
+
+
+def test_a_vehicle_that_may_not_move_over_returns_to_its_lane_and_stays_on_the_road():
+    beside = (2.0, 3.5, 15.0, 0.0)
+    assert merging((0.0, 0.9, 15.0, 0.8), beside, planned=0.8)[2] == LANES.source.centre
+    assert np.isnan(merging((0.0, 0.9, 15.0, 0.8), planned=0.8)[2]), "without others the policy steers"
+    assert merging((0.0, -0.5, 15.0, -0.8), planned=-0.8)[2] == LANES.source.centre, "to the right is no road"
+    assert merging((0.0, 4.0, 15.0, 0.8), planned=0.8)[2] == LANES.target.centre, "not beyond the target lane"
+
+
+def test_a_steered_vehicle_is_the_policys_again_when_it_drives_straight_on():
+    safety, beside = SafetyFilter(RssFilter(), DT, LANES), (2.0, 3.5, 15.0, 0.0)
+    wants, not_any_more = np.array([[0.8, 0.0, 0.0]]), np.zeros((1, 3))
+    assert safety.limits(near((0.0, 0.9, 15.0, 0.8), beside), wants).place[0, 0] == LANES.source.centre
+    assert safety.limits(near((3.0, 0.9, 15.0, -0.5), beside), not_any_more).place[0, 0] == LANES.source.centre
+    assert np.isnan(safety.limits(near((6.0, 0.2, 15.0, -0.1), beside), not_any_more).place[0, 0])
+
+
+def test_a_vehicle_that_cannot_move_over_stops_where_it_still_could():
+    v, s = 15.0, 200.0
+    a = 0.0
+    for _ in range(300):
+        along = (
+            SafetyFilter(RssFilter(), DT, LANES)
+            .limits(near((s, 0.0, v, 0.0), (s - 4, 3.5, v, 0.0), a=a), np.zeros((1, 3)))
+            .along[0, 0]
+        )
+        s, v, a = s + v * DT, max(v + a * DT, 0.0), min(along, 1.0)
+    assert v < 0.01
+    assert abs(LANES.source.end - LANE_CHANGE - s) < 0.5
+    assert merging((260.0, 0.0, 15.0, 0.0))[0] < 5.0
+    assert merging((260.0, 0.0, 15.0, 0.0), merge_within=0.0)[0] > 100.0, "without help the policy decides"
+
+
+def test_the_filter_moves_over_where_the_policy_hesitates_and_there_is_room():
+    own = (230.0, 0.0, 12.0, 0.0)
+    assert np.isnan(merging(own, steps=5)[2]), "the policy has its chance"
+    assert merging(own, steps=15)[2] == LANES.target.centre
+    assert np.isnan(merging(own, (228.0, 3.5, 12.0, 0.0), steps=15)[2]), "somebody is there"
+    assert np.isnan(merging(own, steps=15, merge_within=0.0)[2]), "no help is asked for"
+    assert np.isnan(merging((0.0, 0.0, 12.0, 0.0), steps=15)[2]), "the lane does not end yet"
+    assert np.isnan(merging(own, planned=0.6, steps=15)[2]), "the policy moves over itself"
+
+
+def test_vehicles_make_room_for_a_merge():
+    ahead, behind = (232.0, 3.5, 12.0, 0.0), (225.0, 3.5, 12.0, 0.0)
+    assert merging((230.0, 0.0, 12.0, 0.0), ahead)[0] == -2.0, "it falls behind who is farther ahead"
+    along, least, _ = merging((230.0, 0.0, 2.0, 0.0), behind)
+    assert along > 0
+    assert least == 1.5, "others wait for it"
+    found = near((230.0, 0.0, 12.0, 0.0), members=((222.0, 3.5, 12.0, 0.0), (280.0, 3.5, 12.0, 0.0)))
+    lets_in = SafetyFilter(RssFilter(), DT, LANES).limits(found, np.zeros((1, 3))).along[0, 1]
+    assert lets_in == -2.0, "the lag vehicle lets it in"
 
 
 def test_limits_change_only_what_exceeds_them():
-    state = np.zeros((1, 3, 3))
+    state, layout = np.zeros((1, 3, 3)), LongitudinalLayout(np.zeros((1, 3)), np.zeros((1, 3)))
     state[..., 1], action = 10.0, np.full((1, 3, 1), 5.0)  # the acceleration of the next step is 1 m/s²
-    free, tight = Limits(np.full((1, 3), 2.0), np.full((1, 3), np.nan)), Limits(np.full((1, 3), -3.0), np.zeros((1, 3)))
-    assert (within(free, state, action, POINT_MASS_1D, 1, DT).action == action).all()
-    limited = within(tight, state, action, POINT_MASS_1D, 1, DT)
+    every, none = np.ones((1, 3)), np.full((1, 3), np.nan)
+    assert (within(Limits(2 * every, none, -every), state, action, layout, DT).action == action).all()
+    limited = within(Limits(-3 * every, 0 * every, -np.inf * every), state, action, layout, DT)
     assert limited.action[0, 0, 0] * DT == pytest.approx(-3.0)
-    assert limited.reduced[0].tolist() == pytest.approx([4.0] * 3)
-    assert not limited.steered.any()
+    assert limited.changed[0].tolist() == pytest.approx([4.0] * 3)
+    assert not limited.steered.any(), "a vehicle in one lane does not steer"
+    raised = within(Limits(9 * every, none, 1.5 * every), state, action, layout, DT)
+    assert raised.action[0, 0, 0] * DT == pytest.approx(1.5)
 
 
 @pytest.mark.parametrize("side", [1, -1])
-def test_lateral_motion_ends_within_some_steps(side):
-    state = np.zeros((1, 3, 6))
-    state[..., 2], state[..., 3] = 12.0, 0.1
-    for _ in range(8):
-        limit = Limits(np.full((1, 3), np.inf), np.zeros((1, 3)))
-        action = within(limit, state, np.zeros((1, 3, 2)), DUBINS, side, DT).action
+@pytest.mark.parametrize("v", [3.0, 12.0, 30.0])
+def test_steering_to_a_place_does_not_swing(side, v):
+    state, layout = np.zeros((1, 3, 6)), planar(side)
+    state[..., 1], state[..., 2], state[..., 3] = -2.0, v, min(0.1, 1.2 / v)  # y, v, and the heading to the target lane
+    limit, path = Limits(np.full((1, 3), np.inf), np.full((1, 3), side * -3.5), np.full((1, 3), -np.inf)), []
+    for _ in range(60):
+        action = within(limit, state, np.zeros((1, 3, 2)), layout, DT).action
         state = DUBINS.step(state, action, DT)
-    assert np.abs(planned_across(state, np.zeros((1, 3, 2)), DUBINS, side, DT)).max() < 0.02
+        path.append(state[0, 0, 1])
+    assert max(path) < -0.2, "it turns around within less than a lane"
+    assert path[-1] == pytest.approx(-3.5, abs=0.1)
+    assert min(path) > -3.75, "and does not overshoot"
+    assert np.abs(planned_across(state, np.zeros((1, 3, 2)), layout, DT)).max() < 0.05
+
+
+@pytest.mark.parametrize("size", [2, 3, 5])
+def test_groups_of_any_size_are_filtered(size):
+    found = near((0.0, 0.0, 15.0, 0.0), (8.0, 0.0, 5.0, 0.0), members=((-50.0, 0.0, 10.0, 0.0),) * (size - 1))
+    along = SafetyFilter(RssFilter(), DT).limits(found, np.zeros((1, size))).along
+    assert along.shape == (1, size)
+    assert along[0, 0] == pytest.approx(-8.0)
 
 
 def test_the_use_counts_steps_of_driven_vehicles_up_to_the_end():
     record, none = FilterRecord(), np.zeros((1, 3), dtype=bool)
-    for time, reduced in ((0.0, [2.0, 0.0, 9.0]), (0.2, [0.0, 0.0, 9.0]), (0.4, [5.0, 5.0, 9.0])):
-        record.add(time, Limited(np.zeros((1, 3, 1)), np.array([reduced]), none))
+    for time, changed in ((0.0, [2.0, 0.0, 9.0]), (0.2, [0.0, 0.0, 9.0]), (0.4, [5.0, 5.0, 9.0])):
+        record.add(time, Limited(np.zeros((1, 3, 1)), np.array([changed]), none))
     use = record.of(0, [0, 1], end=0.4)
     assert (use.along, use.across, use.hardest) == (0.25, 0.0, 2.0)

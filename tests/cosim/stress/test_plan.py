@@ -5,8 +5,8 @@ from msgspec.structs import replace
 
 from cosim.spec.loading import load_scenario
 from cosim.spec.perturbations import KINDS, HeadwayRatio
-from cosim.spec.scenario import ConstantVelocity, Idm, LeftToSumo, Replay, TrainedPolicy
-from cosim.stress.plan import Cell, chunks, perturbed_scenario, policies_of, senseless, sweeps_of
+from cosim.spec.scenario import ConstantVelocity, Idm, LeftToSumo, Replay, RssFilter, TrainedPolicy
+from cosim.stress.plan import Cell, chunks, perturbed_scenario, policies_of, scenario_for, senseless, sweeps_of
 from gri.errors import InputError
 from gri.resources import find_checkpoint
 
@@ -134,6 +134,20 @@ def test_names_of_policies(scenario):
     assert found["idm"] == Idm()
     path = str(find_checkpoint("us101_car_following_supervised"))
     assert policies_of([path], scenario) == {"us101_car_following_supervised": TrainedPolicy(checkpoint=path)}
+
+
+def test_additions_to_names_change_the_scenario(scenario):
+    names = ["gri+predict+rss", "idm+rss", "gri+predict"]
+    found = {name: scenario_for(name, driver, scenario) for name, driver in policies_of(names, scenario).items()}
+    assert list(found) == names
+    both, filtered, predicting = found.values()
+    assert both.policy == TrainedPolicy(checkpoint="us101_car_following")
+    assert (both.safety, both.predictor) == (RssFilter(), "constant_acceleration")
+    assert (filtered.policy, filtered.safety, filtered.predictor) == (Idm(), RssFilter(), "none")
+    assert (predicting.safety, predicting.predictor) == (None, "constant_acceleration")
+    for name in ("sumo+rss", "sumo+predict"):
+        with pytest.raises(InputError, match="write sumo"):
+            policies_of([name], scenario)
 
 
 def test_bad_policies(scenario):
