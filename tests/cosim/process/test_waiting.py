@@ -26,7 +26,10 @@ def test_a_worker_that_reports_nothing_is_ended(tmp_path):
     assert time.monotonic() - began < 50
 
 
-def test_a_copy_that_does_not_answer_is_ended():
+@pytest.mark.parametrize("jump", [-1e9, 0.0, 1e9], ids="{:+g} s".format)
+def test_a_copy_that_does_not_answer_is_ended_whatever_the_clock_says(monkeypatch, jump):
+    clock, readings = time.time, iter(range(10**9))
+    monkeypatch.setattr(time, "time", lambda: clock() + next(readings) % 2 * jump)
     branch = fork(lambda: time.sleep(60))
     with pytest.raises(BranchError, match=rf"waited 0.3 s for the branched simulation \(process {branch.pid}\)"):
         branch.result(0.3)
