@@ -1,14 +1,16 @@
 """Mutation testing: how many small mistakes in the modules of `targets.py` their tests notice.
 
-    python -m tests.mutation [--sample 200] [--module cosim.batch.execute] [--seed 1]
+    python -m tests.mutation [--per-module 10] [--module cosim.batch.execute] [--seed 1] [--log tried.jsonl]
 
 Modules and tests are imported once; every mutant then gets a copy of this process, in which the code of one function is
 replaced and the tests of its module run until the first failure. Prints the survivors, and the share that was noticed
-with its 95 % interval. A mutant that changes nothing that can be seen counts as a survivor.
+with its 95 % interval. A mutant that changes nothing that can be seen counts as a survivor. With a log, mutants that it
+has are not tried again, so that a long search can be stopped and continued.
 """
 
 import argparse
 import importlib
+import json
 import os
 import random
 import signal
@@ -16,6 +18,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable
+from itertools import zip_longest
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
@@ -90,22 +93,33 @@ def run_tests(tests: tuple[str, ...], prepare: Callable[[], None], limit: float)
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sample", type=int, default=200, help="mutants to try, drawn from all; 0: all")
+    parser.add_argument("--per-module", type=int, default=10, help="mutants to try, drawn from each module; 0: all")
+    parser.add_argument("--log", type=Path, help="a file of outcomes to continue")
     parser.add_argument("--module", choices=list(TARGETS), action="append", help="only this module; repeatable")
     parser.add_argument("--seed", type=int, default=1)
     given = parser.parse_args()
     chosen = given.module or list(TARGETS)
     modules = {name: importlib.import_module(name) for name in chosen}
     known = {name: functions(module) for name, module in modules.items()}
-    every: list[Mutant] = []
+    every, drawn = 0, list[list[Mutant]]()
     for name, module in modules.items():
         source = Path(str(module.__file__)).read_text(encoding="utf-8")
-        every += [mutant for mutant in mutants(name, source) if mutant.function in known[name]]
-    random.Random(given.seed).shuffle(every)
-    sample = sorted(every[: given.sample or len(every)], key=lambda mutant: (mutant.module, mutant.line))
-    print(f"{len(every)} mutants of {len(chosen)} modules, {len(sample)} of them tried", flush=True)
+        found = [mutant for mutant in mutants(name, source) if mutant.function in known[name]]
+        every += len(found)
+        number = min(given.per_module or len(found), len(found))
+        drawn.append(random.Random(f"{name} {given.seed}").sample(found, number))
+    # One of each module after the other: a search that is stopped early has tried as many of each.
+    sample = [mutant for turn in zip_longest(*drawn) for mutant in turn if mutant]
+    print(f"{every} mutants of {len(chosen)} modules, {len(sample)} of them drawn", flush=True)
+    tried = {}
+    if given.log and given.log.is_file():
+        tried = dict(map(json.loads, given.log.read_text().splitlines()))
     counts, limits = Counter[str](), dict[str, float]()
     for mutant in sample:
+        key = f"{mutant} at {mutant.place}"
+        if key in tried:
+            counts[tried[key]] += 1
+            continue
         if mutant.module not in limits:
             outcome, seconds = run_tests(TARGETS[mutant.module], lambda: None, 1200.0)
             if outcome != "passed":
@@ -120,6 +134,9 @@ def main() -> None:
 
         outcome, _ = run_tests(TARGETS[mutant.module], change, limits[mutant.module])
         counts[outcome] += 1
+        if given.log:
+            with given.log.open("a") as log:
+                log.write(json.dumps([key, outcome]) + "\n")
         if outcome == "passed":
             print(f"survived: {mutant}", flush=True)
     noticed, total = counts["failed"] + counts["hung"], counts.total()

@@ -42,8 +42,10 @@ def mutants(module: str, source: str) -> Iterator[Mutant]:
     for function, path in _places(tree, (), ""):
         node = _at(tree, path)
         for before, change in _changes(node):
-            text = f"{ast.unparse(node).splitlines()[0][:60] if ast.unparse(node) else type(node).__name__} → {before}"
-            yield Mutant(module, function, getattr(node, "lineno", 0), text, source, path, change)
+            shown = node if hasattr(node, "lineno") else _at(tree, path[:-1])  # an operator has no line of its own
+            code = ast.unparse(shown).splitlines()[0][:60]
+            text = f"{code}{'' if shown is node else f', {type(node).__name__}'} → {before}"
+            yield Mutant(module, function, getattr(shown, "lineno", 0), text, source, path, change)
 
 
 _LEFT_ALONE = ("decorator_list", "annotation", "returns", "type_params", "exc")
