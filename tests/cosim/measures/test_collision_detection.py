@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim.measures.collision_detection import overlapping_pairs
+from cosim.measures.collision_detection import box_centre, overlapping_pairs
 from cosim.measures.surrogate_safety import net_gap, time_to_collision
 
 
@@ -18,6 +18,11 @@ def test_front_bumper_is_the_reference_point():
     # Boxes are 4 m long: fronts at 0 and 3.9 m overlap, at 0 and 4.0 m they touch, which is no overlap.
     assert overlapping_pairs(*_boxes((0, 0, 0), (3.9, 0, 0)), np.array([0])).size
     assert not overlapping_pairs(*_boxes((0, 0, 0), (4.0, 0, 0)), np.array([0])).size
+
+
+def test_the_centre_is_half_a_length_behind_the_front_bumper():
+    centres = box_centre(np.array([[10.0, 2.0], [0.0, 0.0]]), np.array([np.pi / 2, np.pi]), np.array([4.0, 6.0]))
+    np.testing.assert_allclose(centres, [[10.0, 0.0], [3.0, 0.0]], atol=1e-12)
 
 
 def test_neighbours_in_the_next_lane_do_not_touch():

@@ -54,6 +54,12 @@ def test_a_gap_that_opens_is_no_conflict():
     assert surrogate_safety.drac(rear, front).tolist() == [0.0, 0.0]
 
 
+def test_bumper_to_bumper_at_the_same_speed_needs_no_braking():
+    rear, front = track(0.0, 10.0), track(5.0, 10.0)
+    assert surrogate_safety.gap(rear, front).tolist() == [0.0, 0.0]
+    assert surrogate_safety.drac(rear, front).tolist() == [0.0, 0.0]
+
+
 def test_pet_of_following_is_the_time_gap_that_was_kept():
     """Both at 10 m/s, 25 m net: the follower is where the leader's rear was 2.5 s later (found to 0.02 s)."""
     time = np.arange(0, 6.1, 0.2)

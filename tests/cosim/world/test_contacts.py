@@ -73,6 +73,13 @@ def test_groups_are_outsiders_to_each_other():
     assert [contact.who for contact in (*first, *second)] == ["other→2", "0→other"]
 
 
+def test_a_contact_of_one_group_is_none_of_another():
+    now = snapshot(1.0, a=(0.0, 0.0), b=(3.0, 0.0), c=(40.0, 0.0), k=(60.0, 0.0), l=(80.0, 0.0), m=(90.0, 0.0))
+    first, second = contacts_of([now], [NAMES, {"k": "0", "l": "1", "m": "2"}], [2.0, 2.0])
+    assert [contact.who for contact in first] == ["0→1"]
+    assert second == ()
+
+
 def test_completed_with_a_contact_after_the_hand_back():
     contacts = found(snapshot(4.0, a=(16.0, 0.0), b=(20.0, 0.0), c=(60.0, 0.0)), end=3.0)
     after = episode(Ending.HORIZON, 3.0, last=8.0, contacts=contacts)
