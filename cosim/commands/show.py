@@ -7,7 +7,8 @@ import typer
 
 from cosim.commands.arguments import EpisodeOption, RunArgument
 from gri.errors import InputError
-from gri.terminal import FormatOption, next_command, say, show_tables
+from gri.table import TableFormat
+from gri.terminal import FormatOption, ProgressDisplay, next_command, say, show_tables
 
 Format = Literal["html", "gif", "mp4", "png"]
 
@@ -139,17 +140,49 @@ def _format_of(out: Path | None) -> Format:
     raise InputError(f"--out {out}: got the ending {out.suffix!r}, wanted one of {wanted}; or give --format")
 
 
-def explain(run: RunArgument, episode: EpisodeOption = 0) -> None:
+def explain(
+    run: RunArgument,
+    episode: EpisodeOption = 0,
+    measure: Annotated[
+        bool, typer.Option("--measure", help="Drive all starts again without each edge and vehicle, and compare.")
+    ] = False,
+    over: Annotated[float, typer.Option(min=0.4, max=60, help="With --measure: time from the take-over [s].")] = 3.0,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="With --measure: CSV file to write; default: measured_effects.csv beside the run."),
+    ] = None,
+    table_format: FormatOption = "table",
+) -> None:
     """Explain in words why the policy drove as it did.
 
     The text is made from the graph that the policy inferred and from its reward.
+    With --measure the stated effects of all episodes are compared with those
+    of drives without the edge, and without the vehicle.
     """
+    if measure:
+        return _measure(run, over, out, table_format)
     from cosim.runs.run_reading import read_tables
     from cosim.show.episode_view import episode_view
     from cosim.show.explanation import explanation
 
     say(explanation(episode_view(read_tables(run), episode), run))
     next_command(f"cosim render {run} --episode {episode}")
+
+
+def _measure(run: Path, over: float, out: Path | None, table_format: TableFormat) -> None:
+    from cosim.runs.finished_run import read_scenario
+    from cosim.runs.run_reading import read_tables
+    from cosim.show.measured_effects import faithfulness, faithfulness_table, is_in_lane, measured_effects
+    from gri.storage.whole_files import write_whole
+
+    scenario = read_scenario(run)
+    with ProgressDisplay() as display:
+        rows = measured_effects(scenario, read_tables(run), over, display)
+    if rows.empty:
+        raise InputError(f"--measure: no drive of {run} lasts a step; run more episodes")
+    path = out or run.with_name(run.name + "-measured_effects.csv")
+    write_whole(path, rows.to_csv(index=False))
+    show_tables([faithfulness_table(faithfulness(rows, is_in_lane(scenario)), over)], table_format, f"Effects: {path}")
 
 
 def gui(run: RunArgument, episode: EpisodeOption = 0) -> None:

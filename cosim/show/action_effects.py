@@ -114,6 +114,19 @@ def effects_of(drive: Drive, policy: Policy, driven: Sequence[int]) -> list[Effe
     return found
 
 
+@torch.inference_mode()
+def effect_since_takeover(drive: Drive, policy: Policy, sender: int, receiver: int, steps: int) -> float:
+    """What the edge from the sender did to the mean acceleration [m/s²] of the receiver in the first `steps`.
+
+    The receiver drives without the edge from the take-over on, all others as recorded.
+    """
+    own = _Replay(policy, drive)
+    without = own._graphs([{p: kind for p, kind in g.items() if p != (sender, receiver)} for g in drive.graphs])
+    last = _without_for(own, without, own.memories(), [], receiver, 0, steps)
+    v = policy.dynamics.speed
+    return float(drive.state[steps, receiver, v] - last[v]) / (steps * policy.dt)
+
+
 Reason = tuple[tuple[int, str], ...]
 """Sender and type of each edge that is taken away; the type "vehicle" takes the sender itself away."""
 
