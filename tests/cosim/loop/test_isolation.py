@@ -25,7 +25,10 @@ class Brakes(ConstantVelocity):
 def settled(name: str, episodes: int):
     """A shipped scenario with two minutes of warm-up, so that its lanes are full."""
     scenario = load_scenario(name)
-    traffic = replace(scenario.traffic, warm_up=120.0)
+    bottleneck = scenario.traffic.bottleneck
+    if bottleneck.hold is not None:  # active before the first round
+        bottleneck = replace(bottleneck, hold=replace(bottleneck.hold, start=60.0))
+    traffic = replace(scenario.traffic, warm_up=120.0, bottleneck=bottleneck)
     return replace(scenario, traffic=traffic, episodes=episodes, watch=1.0, surroundings=False)
 
 
@@ -33,7 +36,7 @@ def deviations(outcome) -> np.ndarray:
     return np.array([leader_deviation(*pair) for pair in zip(outcome.episodes, outcome.left_to_sumo, strict=True)])
 
 
-@pytest.mark.parametrize("name", ["us101_car_following", "i80_car_following"])
+@pytest.mark.parametrize("name", ["us101_car_following", "i80_car_following", "us101_lively"])
 def test_an_undriven_leader_moves_exactly_as_in_its_counterpart(name, simulate):
     """For the whole drive, in several rounds of several groups, also where the driven vehicles brake for no reason."""
     outcome = simulate(settled(name, 12), Brakes(0.2))
