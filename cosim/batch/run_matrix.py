@@ -21,7 +21,7 @@ from cosim.spec.settings import overlay
 from gri.config import checked, located, parsed, typed
 from gri.errors import InputError
 
-FORMAT = 3  # of the results of a run; with a new number every run is repeated
+FORMAT = 4  # of the results of a run; with a new number every run is repeated
 PACKAGES = ("gri-cosim", "libsumo", "numpy", "torch")  # whose versions a run depends on
 NEWER = ("share", "shares")  # fields that are no part of the key of a run where they are not given
 

@@ -133,7 +133,8 @@ def _graph_to_use(
 ) -> InteractionGraph:
     known = graph
     if last is not None:
-        known = keep_where_unknown(smoothed(graph, last, source, elapsed, window), last, source)
+        known = smoothed(graph, last, source, elapsed, window, this_round.driven_roles)
+        known = keep_where_unknown(known, last, source)
     known = graph_from_source(known, source, this_round.rule, this_round.has_third_vehicle)
     return with_edges(known, dict.fromkeys(without, EdgeType.NONE), this_round.size)
 

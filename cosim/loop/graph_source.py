@@ -1,7 +1,7 @@
 """The graph that a policy uses: the inferred one, or what the scenario prescribes instead."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 
 import torch
@@ -54,13 +54,21 @@ def on_same_pairs(graphs: Sequence[InteractionGraph]) -> list[InteractionGraph]:
 
 
 def smoothed(
-    graph: InteractionGraph, last: InteractionGraph, source: GraphSource, elapsed: float, window: float
+    graph: InteractionGraph,
+    last: InteractionGraph,
+    source: GraphSource,
+    elapsed: float,
+    window: float,
+    driven: Collection[int] = (),
 ) -> InteractionGraph:
     """The new graph as evidence for what the last one says: one forward step of a hidden Markov chain per pair.
 
     Between two inferences, which are `elapsed` [s] apart, a relation changes to any other one with the source's
     switching rate. Each graph is inferred from a history of `window` [s], so histories overlap, and the new graph
     counts as `elapsed`/`window` of an observation: every moment is evidence once (docs/decisions/058).
+
+    A vehicle of `driven`, the roles that the policy drives, keeps its relations: it moves as the policy wants under the
+    last graph, so that its motion is no evidence for another one (docs/decisions/070).
     """
     if not isinstance(source, Inferred) or not source.smoothing:
         return graph
@@ -68,7 +76,8 @@ def smoothed(
     stay = math.exp(-source.switching_rate * elapsed)
     expected = stay * last.probs + (1 - stay) / last.logits.shape[-1]
     logits = expected.clamp_min(1e-9).log() + min(elapsed / window, 1.0) * graph.logits.log_softmax(-1)
-    return replace(graph, logits=logits.log_softmax(-1))
+    kept = torch.tensor([not source.own_motion and receiver in driven for _, receiver in graph.pairs])
+    return replace(graph, logits=torch.where(kept[:, None], last.logits, logits.log_softmax(-1)))
 
 
 def _prescribed(source: GraphSource, rule: GroupRule) -> Mapping[tuple[int, int], EdgeType]:

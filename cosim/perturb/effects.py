@@ -71,8 +71,15 @@ def shown_effects(effects: pd.DataFrame) -> Table:
     return Table("effects", head, lines, records, title="What the perturbations reached", labels=2)
 
 
-def _number(value: float) -> str:
-    return "-" if not np.isfinite(value) else f"{value:.0f}" if abs(value) >= 100 else f"{value + 0.0:.2f}"
+def _number(value: float | None) -> str:
+    """A value for reading; what was not measured is missing, or None where a column has no number at all."""
+    return (
+        "-"
+        if value is None or not np.isfinite(value)
+        else f"{value:.0f}"
+        if abs(value) >= 100
+        else f"{value + 0.0:.2f}"
+    )
 
 
 def delay_between(given: np.ndarray, shown: np.ndarray) -> int:

@@ -142,12 +142,14 @@ class Inferred(Spec, frozen=True, kw_only=True, tag_field="source", tag="inferre
 
     Later inferences (`reinfer_s`) are combined with the last graph by a hidden Markov chain, in which a relation
     changes `switching_rate` times per second: a relation that is not visible for a while is not over. `smoothing:
-    false` takes every inference for itself. `when_unknown` applies to later inferences from scenes that the model does
-    not know: `use` the graph all the same, or `keep` the last one.
+    false` takes every inference for itself. A vehicle that the policy drives keeps its relations, as its motion is what
+    the policy wants; `own_motion: true` takes it for evidence all the same. `when_unknown` applies to later inferences
+    from scenes that the model does not know: `use` the graph all the same, or `keep` the last one.
     """
 
     smoothing: bool = True
     switching_rate: Annotated[float, Meta(ge=0, le=100)] = 0.02
+    own_motion: bool = False
     when_unknown: Literal["use", "keep"] = "use"
 
 

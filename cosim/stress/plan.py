@@ -37,7 +37,7 @@ from cosim.spec.scenario import (
 )
 from gri.errors import InputError
 
-FORMAT = 7  # of the rows of a chunk; with a new number every chunk is computed again
+FORMAT = 8  # of the rows of a chunk; with a new number every chunk is computed again
 NOMINAL = "nominal"
 STARTS_PER_CHUNK = 10
 GROUPS_AT_ONCE = 12

@@ -72,6 +72,21 @@ def test_a_relation_that_is_not_visible_stays_and_one_that_is_refuted_goes():
     assert most_probable_after(6, 0.99, first=0.05) == 1  # and a new one appears
 
 
+def test_a_driven_vehicle_keeps_its_relations_and_others_do_not():
+    """1 → 0 and 0 → 1 were both followed; new inferences say that nobody follows. The policy drives vehicle 0."""
+    pair = ((0, 1), (1, 0))
+    last = InteractionGraph(torch.tensor([[[0.1, 0.9], [0.1, 0.9]]]).log(), FOLLOWING, candidates=pair)
+    new = InteractionGraph(torch.tensor([[[0.99, 0.01], [0.99, 0.01]]]).log(), FOLLOWING, candidates=pair)
+    for _ in range(8):
+        found = smoothed(new, last, Inferred(), 1.0, 5.0, driven=(0,))
+        assert torch.equal(found.logits[:, 1], last.logits[:, 1])
+        last = found
+    assert last.map.tolist() == [[0, 1]]  # 1 does not follow 0 any more
+    with_own = smoothed(new, last, Inferred(own_motion=True), 1.0, 5.0, driven=(0,))
+    assert torch.equal(with_own.logits, smoothed(new, last, Inferred(), 1.0, 5.0).logits)
+    assert not torch.equal(with_own.logits[:, 1], last.logits[:, 1])
+
+
 def test_without_smoothing_and_with_prescribed_edges_the_new_graph_counts_alone():
     new, last = following(0.4), following(0.9)
     assert smoothed(new, last, Inferred(smoothing=False), 1.0, 5.0) is new

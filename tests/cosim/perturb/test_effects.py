@@ -36,6 +36,15 @@ def test_what_is_not_stated_is_shown_as_a_dash_and_a_remark_behind_its_quantity(
     ]
 
 
+def test_a_column_without_any_number_is_shown_as_dashes():
+    """As read from a file: the effect of a braking leader has no value without the perturbation."""
+    table = effects_table([Effect("leader_braking", 3.0, "braking", "m/s²", 3.0, 3.0)])
+    assert (
+        shown_effects(table).lines == shown_effects(table.astype({"unperturbed": object}).replace({np.nan: None})).lines
+    )
+    assert shown_effects(table).lines == [["leader_braking 3", "braking [m/s²]", "3.00", "3.00", "-"]]
+
+
 @pytest.mark.parametrize("steps", [0, 1, 5])
 def test_the_delay_is_found_where_values_move_and_is_none_where_they_stand(steps):
     moving = np.cumsum(np.random.default_rng(1).random((40, 3)), axis=0)
