@@ -175,9 +175,10 @@ def write_inputs(folder: Path) -> None:
 
 
 def unfinished(folder: Path) -> list[str]:
-    """What should not be there: unfinished files, claims, temporary files."""
+    """What should not be there: unfinished files, claims, temporary files; torch's own folder, one per user, may be."""
     endings = (".part", ".partial", ".lock")
-    paths = [path for path in folder.rglob("*") if path.name.endswith(endings) or path.parent == folder / "tmp"]
+    temporary = {path for path in (folder / "tmp").iterdir() if not path.name.startswith("torchinductor_")}
+    paths = [path for path in folder.rglob("*") if path.name.endswith(endings) or path in temporary]
     return [str(path.relative_to(folder)) for path in paths]
 
 
