@@ -18,6 +18,7 @@ SLOW = 3.0  # [m/s]
 SHORT_HEADWAY = 1.0  # [s]
 LAGS = (10, 20, 45)  # [s]
 PERIOD = 1.0  # [s] between two samples of a vehicle
+ROUNDING = 1e-9  # [m²/s²]; smaller squares are rounding errors
 SPARE = 5  # seconds that a window must be longer than a lag
 
 Sums = Callable[[pd.DataFrame, np.ndarray, int], np.ndarray]
@@ -95,7 +96,8 @@ def _autocorrelation(lag: int) -> Sums:
         before, after = (np.where(seen, speed - mean[..., None], 0.0)[..., cut] for cut in (np.s_[:-lag], np.s_[lag:]))
         both = seen[..., :-lag] & seen[..., lag:]
         squares = np.where(both, (np.square(before) + np.square(after)) / 2, 0.0)
-        return np.stack([(before * after * both).sum((1, 2)), squares.sum((1, 2))], axis=1)
+        found = np.stack([(before * after * both).sum((1, 2)), squares.sum((1, 2))], axis=1)
+        return np.where(found[:, 1:] > ROUNDING, found, 0.0)  # a constant speed has no correlation
 
     return sums
 

@@ -131,6 +131,12 @@ def test_how_long_speeds_last() -> None:
     assert at[10] == pytest.approx(0.0, abs=0.1)
 
 
+def test_a_constant_speed_has_no_correlation() -> None:
+    """Not 1, which the rounding errors of the mean would give."""
+    table = prepared(pd.concat([track("a", 10.1, seconds=60), track("b", 10.1, x=30, seconds=60)]))
+    assert sums_of("autocorrelation_10", table).tolist() == [[0.0, 0.0]]
+
+
 def wave(speed: float, period: float, seconds: int = 120, length: float = 300.0) -> pd.DataFrame:
     """A field of speeds that moves upstream at `speed` [m/s]: standing probes every 10 m, once a second."""
     x, time = (values.ravel() for values in np.meshgrid(np.arange(0.0, length, 10), np.arange(float(seconds))))
