@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from cosim.batch.execute import Tally, execute
+from cosim.batch.execute import Tally, _shared_warm_ups, execute
 from cosim.batch.run_matrix import expand, load_batch
 from cosim.batch.store import BatchStore
 from cosim.process.task import Task, TaskResult
@@ -105,3 +105,22 @@ def test_every_attempt_has_a_folder_of_its_own_and_none_is_left(two):
     with pytest.raises(KeyboardInterrupt):
         two.go({b: ["stopped"]}, retry=True)
     assert [path.name for path in (two.store.folder / "runs").iterdir()] == [a]
+
+
+def test_two_runs_in_the_same_traffic_share_its_warm_up_and_one_alone_has_none(tmp_path: Path):
+    (tmp_path / "shared.yaml").write_text(
+        TWO_RUNS.replace("{idm: {kind: idm}}", "{idm: {kind: idm}, left: {kind: sumo}}")
+    )
+    runs = expand(*load_batch(str(tmp_path / "shared.yaml")))
+    found = _shared_warm_ups(runs[:3])
+    by_seed: dict[int, list] = {}
+    for run in runs[:3]:
+        by_seed.setdefault(run.scenario.seed, []).append(found[run.id])
+    alone, both = sorted(by_seed.values(), key=len)
+    assert [len(alone), len(both)] == [1, 2]
+    assert alone[0][1] is None
+    (first_place, first), (second_place, second) = both
+    assert first_place == second_place
+    assert first is not None
+    assert second is not None
+    assert first.key == second.key

@@ -20,6 +20,7 @@ from cosim.runs.run_tables import (
     groups_table,
     labelled,
     manifest,
+    reported_pairs,
     steps_table,
     write_tables,
 )
@@ -275,3 +276,8 @@ def test_pictures_are_drawn_for_every_kind_of_graph(tmp_path, edges):
     assert most_eventful(tables["steps"]) == 0
     picture(tables, tmp_path / "a.png")
     assert (tmp_path / "a.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_large_groups_report_their_neighbours_and_small_ones_all_pairs():
+    assert set(reported_pairs(5)) == {(i, j) for i in range(5) for j in (i - 1, i + 1) if 0 <= j < 5}
+    assert set(reported_pairs(3)) == {(i, j) for i in range(3) for j in range(3) if i != j}
