@@ -28,7 +28,8 @@ def batch(
     workers: Annotated[int | None, typer.Option(min=1, help="Runs at a time; default: one per core.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder of the batch; default: runs/batch/NAME.")] = None,
     executor: Annotated[
-        Literal["local", "ray"], typer.Option(help="Where to run: on this machine, or on a Ray cluster.")
+        Literal["local", "ray", "slurm"],
+        typer.Option(help="Where to run: on this machine, on a Ray cluster, or as jobs of Slurm."),
     ] = "local",
     address: Annotated[str | None, typer.Option(help="Address of the Ray cluster; default: one started here.")] = None,
     only: Annotated[list[str] | None, typer.Option(help="Run only the run with this id; repeatable.")] = None,
@@ -158,6 +159,10 @@ def _executor(name: str, workers: int | None, address: str | None):
         from cosim.process.ray_pool import run_ray
 
         return partial(run_ray, workers=workers, address=address)
+    if name == "slurm":
+        from cosim.process.slurm_pool import run_slurm
+
+        return partial(run_slurm, workers=workers)
     from cosim.process.task_pool import run_local
 
     return partial(run_local, workers=workers or os.cpu_count() or 1)

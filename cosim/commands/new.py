@@ -15,7 +15,9 @@ TRIAL = 180.0  # [s] of traffic after the warm-up
 
 
 def new(
-    sumocfg: Annotated[Path, typer.Argument(metavar="SUMOCFG", help="Your SUMO configuration (.sumocfg).")],
+    sumocfg: Annotated[
+        Path, typer.Argument(metavar="SUMOCFG", help="Your SUMO configuration (.sumocfg), or a map (.osm.xml, .xodr).")
+    ],
     rule: Annotated[
         Literal["car_following", "merge"] | None,
         typer.Option(help="Kind of groups; by default merges where a lane ends, else car following."),
@@ -28,12 +30,16 @@ def new(
     The command runs your traffic for some minutes and looks which road most
     vehicles use, where lanes end and how fast vehicles are. It counts the groups
     of every rule that fits the road, writes the scenario that has some, and a
-    picture of the road.
+    picture of the road. Of a map it makes net, demand and configuration first.
     """
     from cosim.process.worker_process import run_in_worker
+    from cosim.proposals.map_file import convert, map_suffix
     from cosim.proposals.picture import draw_road
     from cosim.proposals.propose import proposals
 
+    if map_suffix(sumocfg) is not None:
+        sumocfg = convert(sumocfg)
+        say(f"Configuration: {sumocfg}, with usual flows; replace them by measured ones.")
     path = out or sumocfg.with_suffix(".yaml")
     if path.exists():
         raise InputError(f"{path}: the file is there already; give another one with --out FILE")

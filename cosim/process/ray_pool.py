@@ -1,25 +1,20 @@
 """Tasks on a Ray cluster, or on a Ray started here: the same tasks and answers as on this machine.
 
 Ray does the scheduling. On the machine that it chooses, a worker like those of `cosim.process.task_pool` does the task
-in a process of its own. The task writes into a scratch folder there and its files travel back as bytes, so the machines
-need no common file system. They do need the same installation, and own nets and checkpoints at the same paths; a run of
-a batch refuses to start where its key comes out differently.
+in a process of its own (`cosim.process.remote_task`). The machines need no common file system.
 """
 
 import os
 from collections import deque
-from dataclasses import replace
 from importlib import import_module
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any
 
+from cosim.process.remote_task import perform_away, unpacked
 from cosim.process.task import Task, TaskResult, TaskResults
-from cosim.process.task_pool import START_UP, Worker, alive_or_new
+from cosim.process.task_pool import START_UP
 from gri.errors import InputError
 
 QUEUED = 24 * 3600.0  # [s] that a task may wait for a core of the cluster
-Parcel = tuple[TaskResult, dict[str, bytes]]  # an answer and the files of the folder of its task
 
 
 def run_ray(
@@ -32,7 +27,7 @@ def run_ray(
     """
     ray = _ray()
     ray.init(address=address, num_cpus=None if address else workers, include_dashboard=False, log_to_driver=False)
-    remote = ray.remote(num_cpus=1, max_retries=0)(_perform)
+    remote = ray.remote(num_cpus=1, max_retries=0)(perform_away)
     waiting: dict[Any, Task] = {}
     try:
         while queue or waiting:
@@ -60,31 +55,10 @@ def _ray() -> Any:
         raise InputError("--executor ray: Ray is not installed; install gri-cosim[cluster]") from None
 
 
-_worker: Worker | None = None  # of this process of Ray's, which does one task after the other
-
-
-def _perform(task: Task, time_limit: float, folder: str) -> Parcel:
-    """Do a task on a machine of the cluster, in a scratch folder, and return its files as bytes."""
-    global _worker
-    if Path(folder).is_dir():
-        os.chdir(folder)  # names of own files are relative to where the command was given
-    with TemporaryDirectory() as scratch:
-        _worker = alive_or_new(_worker)
-        answer = _worker.perform(replace(task, folder=Path(scratch, "run")), time_limit)
-        files = {path.name: path.read_bytes() for path in Path(scratch, "run").glob("*")}
-    return replace(answer, folder=task.folder), files if answer.kind == "done" else {}
-
-
 def _unpacked(ray: Any, reference: Any, task: Task) -> TaskResult:
     """The answer of an ended task, its files written into the folder of the task."""
     try:
-        answer, files = ray.get(reference)
+        parcel = ray.get(reference)
     except ray.exceptions.RayError as error:
         return TaskResult(task.name, task.folder, "died", f"Ray lost the task: {str(error).strip().splitlines()[0]}")
-    try:
-        task.folder.mkdir(parents=True)
-        for name, content in files.items():
-            (task.folder / name).write_bytes(content)
-    except OSError as error:
-        return TaskResult(task.name, task.folder, "error", f"cannot be written here: {error.strerror}")
-    return answer
+    return unpacked(task, parcel)

@@ -5,8 +5,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from cosim.process import ray_pool
 from cosim.process.ray_pool import run_ray
+from cosim.process.remote_task import end_worker
 from gri.errors import InputError
 from tests.cosim.process.conftest import tasks
 
@@ -37,8 +37,7 @@ def ray(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
     )
     monkeypatch.setitem(sys.modules, "ray", module)
     yield module
-    if ray_pool._worker is not None:
-        ray_pool._worker.end()
+    end_worker()
 
 
 def test_values_and_files_travel_back(tmp_path, ray):
