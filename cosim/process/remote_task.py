@@ -30,6 +30,14 @@ def perform_away(task: Task, time_limit: float, folder: str) -> Parcel:
     return replace(answer, folder=task.folder), files if answer.kind == "done" else {}
 
 
+def perform_alone(task: Task, time_limit: float, folder: str) -> Parcel:
+    """Like `perform_away` in a process that does this one task: a worker that waits would keep it from ending."""
+    try:
+        return perform_away(task, time_limit, folder)
+    finally:
+        end_worker()
+
+
 def end_worker() -> None:
     """End the worker of this process, if it has one."""
     global _worker

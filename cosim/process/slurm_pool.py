@@ -12,7 +12,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from cosim.process.remote_task import perform_away, unpacked
+from cosim.process.remote_task import perform_alone, unpacked
 from cosim.process.task import Task, TaskResult, TaskResults
 from cosim.process.task_pool import START_UP
 from gri.errors import InputError
@@ -36,7 +36,7 @@ def run_slurm(
         while queue or waiting:
             while queue and len(waiting) < (workers or MOST_JOBS):
                 task = queue.popleft()
-                waiting[executor.submit(perform_away, task, time_limit, os.getcwd())] = task
+                waiting[executor.submit(perform_alone, task, time_limit, os.getcwd())] = task
             ended = [job for job in waiting if job.done()]
             for job in ended:
                 yield _unpacked(job, waiting.pop(job))

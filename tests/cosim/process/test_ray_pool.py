@@ -1,6 +1,7 @@
 """Tasks on a stand-in for Ray, which calls functions at once and in this process."""
 
 import sys
+from collections import deque
 from types import SimpleNamespace
 
 import pytest
@@ -63,4 +64,4 @@ def test_a_task_that_ray_loses_is_an_answer(tmp_path, ray):
 def test_without_ray_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(InputError, match=r"install gri-cosim\[cluster\]"):
-        ray_pool._ray()
+        next(run_ray(deque(), 60.0))
