@@ -22,7 +22,7 @@ from cosim.loop.state_layouts import layout_of
 from cosim.loop.take_over_and_hand_back import Control, PolicyControl, SumoControl
 from cosim.spec.scenario import AFTERMATH, GraphSource, Inferred, RssFilter
 from cosim.sumo import Sumo
-from cosim.world.break_ups import earlier_positions, lane_entries, with_cause
+from cosim.world.break_ups import lane_entries, with_cause
 from cosim.world.contacts import contacts_of
 from cosim.world.episode import COLUMNS, Contact, Episode, Event, EventKind
 from cosim.world.groups import order_of
@@ -157,25 +157,28 @@ def drive(world: Sumo, road: RoadFrame, start: RoundStart) -> list[Episode]:
         control.command(world, road, active, now)
         intervention.command(world, road, step, control.roles, now)
         report, step = world.step(), step + 1
-        now, observation, recorded = intervention.observe(world, road)
+        now, observation, recorded = intervention.observe(world, road, before, now)
         around.append(recorded)
-        observation = control.verify(observation, active, recorder)
+        observation = control.with_commanded_acceleration(observation, active)
         recorder.judge(observation, before, now, report, last=step == this_round.driven_steps)
         recorder.end_failed(control.failures, before.time, now.time)
         control.hand_back(world, road, recorder, observation, now, ended=set(active) - set(recorder.active))
-        control.observe(intervention.shown_to_policy(observation, now), recorder.active, _around(intervention, now))
+        shown = intervention.shown_to_policy(observation, now)
+        control.observe(shown, recorder.active, _around(intervention, now) if control.sees_nearby else None)
         observations.append(observation.with_last_known_states(before))
         trace.append(now)
+    control.verify(observations[len(start.observations) :], recorder)
     for watched in range(step, step + this_round.watched_steps):
         control.command(world, road, (), now)
         intervention.command(world, road, watched, control.roles, now)
         world.step()
-        now, observation, recorded = intervention.observe(world, road)
+        now, observation, recorded = intervention.observe(world, road, observations[-1], now)
         around.append(recorded)
         observations.append(observation.with_last_known_states(observations[-1]))
         trace.append(now)
+        recorder.look_for_contacts(now)
     episodes = _episodes(recorder, control, observations, Surroundings.of(around), length, width)
-    return _judged(episodes, intervention, start.now, trace)
+    return _judged(episodes, intervention, start.now, trace, recorder.contacts)
 
 
 def _judged(
@@ -183,15 +186,19 @@ def _judged(
     intervention: Intervention | NoIntervention,
     takeover: Snapshot,
     trace: Sequence[Snapshot],
+    touching: Sequence[np.ndarray],
 ) -> list[Episode]:
-    """The episodes with their contacts, and with what broke them up; `trace` are the snapshots after the take-over."""
+    """The episodes with their contacts, and with what broke them up; `trace` are the snapshots after the take-over.
+
+    `touching` are the rows of vehicles in contact in each of them.
+    """
     names = [intervention.names(g) for g in range(len(episodes))]
-    ends, found, earlier = [episode.end for episode in episodes], [], earlier_positions(takeover, trace)
-    for g, contacts in enumerate(contacts_of(trace, names, ends)):
-        entries = lane_entries(takeover, trace, [*names[g]], ends[g], earlier)
+    ends, found = [episode.end for episode in episodes], []
+    entries = lane_entries(takeover, trace, [[*of] for of in names], ends)
+    for g, contacts in enumerate(contacts_of(trace, names, ends, touching)):
         events = [Event(c.time, EventKind.CONTACT, c.vehicles, _detail(c)) for c in contacts]
         events = tuple(sorted([*events, *episodes[g].events], key=lambda event: event.time))
-        episode = replace(episodes[g], contacts=contacts, lane_entries=entries, events=events)
+        episode = replace(episodes[g], contacts=contacts, lane_entries=entries[g], events=events)
         at_the_end = next(now for now in trace if now.time >= ends[g] - 1e-6)
         found.append(with_cause(episode, intervention.members(g, at_the_end), takeover, trace))
     return found

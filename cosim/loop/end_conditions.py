@@ -1,8 +1,11 @@
 """When a group cannot, or need not, be driven any further; pure functions of two successive observations."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from cosim.loop.observation import GroupObservation
 from cosim.world.episode import COLUMNS, Ending
 from cosim.world.groups import SAME_LANE, MergeLanes
 from cosim.world.snapshot import Snapshot
@@ -34,6 +37,25 @@ def car_following(
         Ending.LANE_LEFT if lane_left else Ending.CUT_IN if cut_in else None
         for lane_left, cut_in in zip(*(np.logical_or.reduce(of, axis=1) for of in (moved, broken)), strict=True)
     ]
+
+
+def all_follow(
+    before: GroupObservation, now: GroupObservation, snapshot: Snapshot, active: Sequence[int], has_third_vehicle: bool
+) -> bool:
+    """Whether every vehicle of the active groups, all present, kept its lane and is next behind its leader there.
+
+    Then `car_following` ends no group, which takes longer to find out. False may also mean that this is not sure.
+    """
+    state, rows = now.state[active], now.rows[active]
+    if not now.complete or (np.abs(state[..., _D] - before.state[active, :, _D]) > SAME_LANE).any():
+        return False
+    followers = state.shape[1] - 1 if has_third_vehicle else 1
+    behind, ahead = rows[:, :followers].ravel(), rows[:, 1 : followers + 1].ravel()
+    s, d = snapshot.s[behind], snapshot.d[behind]
+    own = snapshot.s[ahead] - s
+    distance = snapshot.s - s[:, None]  # Shape: (R, V)
+    between = (distance > 0) & (distance <= own[:, None]) & (np.abs(snapshot.d - d[:, None]) < SAME_LANE)
+    return bool(np.count_nonzero(between) == len(own) and between[np.arange(len(own)), ahead].all())
 
 
 def merging(

@@ -4,13 +4,13 @@
 loop in `driving` treats both alike.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
 import torch
-from jaxtyping import Bool
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from cosim.loop.observation import GroupObservation
@@ -26,7 +26,7 @@ from cosim.world.episode import COLUMNS, CUTTER
 from cosim.world.groups import SAME_LANE, Group
 from cosim.world.road_frame import RoadFrame
 from cosim.world.snapshot import Snapshot, is_near, rows_of
-from cosim.world.surroundings import Instant
+from cosim.world.surroundings import REACH, Instant
 
 Observed = tuple[Snapshot, GroupObservation, Snapshot | Instant]
 """The vehicles near a round, its groups, and the vehicles to record."""
@@ -168,12 +168,13 @@ class Intervention:
         """Displaced vehicles that no policy drives, with their roles."""
         return {group.ids[r]: r for r in range(len(group.ids)) if change.moved[r] and r not in driven_roles}
 
-    def observe(self, world: Sumo, road: RoadFrame) -> Observed:
+    def observe(self, world: Sumo, road: RoadFrame, before: GroupObservation, snapshot: Snapshot) -> Observed:
         """The vehicles near the round after a step, its groups, and the vehicles to record.
 
-        A vehicle that has cut in is the leader of its group. A removed vehicle 2 is a phantom.
+        `before` and `snapshot` are from one step earlier. A vehicle that has cut in is the leader of its group. A
+        removed vehicle 2 is a phantom.
         """
-        now, recorded = _read(world, road, self.round, self.vehicles)
+        now, recorded = _read(world, road, self.round, self.vehicles, lambda: self._places(before, snapshot))
         self.snapshots.append(now.only(is_near(now.s, now.d, rows_of(now.ids, self.vehicles))))
         arrived = [change.has_arrived(now) for change in self.changes]
         groups = [
@@ -184,6 +185,16 @@ class Intervention:
         if self.removes_third:
             observation = self._with_substitute_leader(observation, road)
         return now, observation, recorded
+
+    def _places(self, before: GroupObservation, snapshot: Snapshot) -> Float[np.ndarray, "G N"]:
+        """s [m] of the vehicles of each group, of its background vehicle, and of its displaced start."""
+        places = before.state[..., _S]
+        planned = [
+            -1 if change.plan is None else snapshot.row_of.get(change.plan.vehicle, -1) for change in self.changes
+        ]
+        background = [places[g, -1] if row < 0 else snapshot.s[row] for g, row in enumerate(planned)]
+        starts = np.stack([change.start.s for change in self.changes]) if not self.snapshots else places
+        return np.column_stack([places, background, starts])
 
     def _with_substitute_leader(self, observation: GroupObservation, road: RoadFrame) -> GroupObservation:
         """The observation with vehicle 2 far ahead at the speed it had at the take-over."""
@@ -254,12 +265,16 @@ class NoIntervention:
         if self.ahead is not None:
             self.ahead.repeat(world, step)
 
-    def observe(self, world: Sumo, road: RoadFrame) -> Observed:
-        """The vehicles near the round after a step, its groups, and the vehicles to record."""
+    def observe(self, world: Sumo, road: RoadFrame, before: GroupObservation, snapshot: Snapshot) -> Observed:
+        """The vehicles near the round after a step, its groups, and the vehicles to record.
+
+        `before` and `snapshot` are from one step earlier.
+        """
+        del snapshot
         if self.recorded is not None:
             self.recorded.record(world)
-        now, recorded = _read(world, road, self.round, self.round.vehicles)
-        return now, GroupObservation.of(now, self.round.groups), recorded
+        now, recorded = _read(world, road, self.round, self.round.vehicles, lambda: before.state[..., _S])
+        return now, GroupObservation.of_vehicles(now, self.round.vehicles, len(self.round.groups)), recorded
 
     def shown_to_policy(self, observation: GroupObservation, now: Snapshot) -> GroupObservation:
         """The observation as it is."""
@@ -267,10 +282,20 @@ class NoIntervention:
         return observation
 
 
-def _read(world: Sumo, road: RoadFrame, this_round: Round, vehicles: list[str]) -> tuple[Snapshot, Snapshot | Instant]:
-    """The vehicles near to the given ones, and those to record: all, if the round reads all."""
-    if this_round.reads_all:
-        return world.near_and_all(road, vehicles)
+def _read(
+    world: Sumo,
+    road: RoadFrame,
+    this_round: Round,
+    vehicles: Sequence[str],
+    places: Callable[[], Float[np.ndarray, "G N"]],
+) -> tuple[Snapshot, Snapshot | Instant]:
+    """The vehicles near to the given ones, and those to record: if the round records its surroundings, all within REACH
+    of the `places` [m] of each group, and some more.
+    """
+    if this_round.records_surroundings:
+        s = places()
+        spans = np.stack([s.min(axis=1) - REACH, s.max(axis=1) + REACH], axis=1)
+        return world.near_and_recorded(road, vehicles, spans)
     now = world.snapshot(road, vehicles)
     return now, now
 

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import repeat
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -28,14 +29,18 @@ class GroupObservation:
     @classmethod
     def of(cls, snapshot: Snapshot, groups: Sequence[Group]) -> "GroupObservation":
         """The groups' part of a snapshot; the state of absent vehicles is zero."""
-        row_of = snapshot.row_of
-        found = [row_of.get(vehicle, -1) for group in groups for vehicle in group.ids]
-        rows = np.array(found, dtype=int).reshape(len(groups), -1)
+        return cls.of_vehicles(snapshot, [vehicle for group in groups for vehicle in group.ids], len(groups))
+
+    @classmethod
+    def of_vehicles(cls, snapshot: Snapshot, vehicles: Sequence[str], groups: int) -> "GroupObservation":
+        """The same for the vehicles of so many groups, one group after the other."""
+        found = [*map(snapshot.row_of.get, vehicles, repeat(-1))]
+        rows = np.array(found, dtype=int).reshape(groups, -1)
         valid = rows >= 0
         if -1 not in found:
             return cls(snapshot.time, snapshot.features(rows), valid, rows)
         rows = np.maximum(rows, 0)
-        if not row_of:  # the snapshot is empty
+        if not snapshot.ids:
             return cls(snapshot.time, np.zeros((*rows.shape, len(COLUMNS))), valid, rows)
         return cls(snapshot.time, np.where(valid[..., None], snapshot.features(rows), 0.0), valid, rows)
 

@@ -62,7 +62,7 @@ class PolicyRunner:
         self._every = max(round(policy.dt / dt), 1)  # steps between two actions of the policy
         self._dynamics, self._speed = policy.dynamics, policy.dynamics.speed
         self._driven_roles, self._override_graph = list(driven_roles), override_graph
-        self._reinfer_steps, self._channels = reinfer_steps, channels
+        self._reinfer_steps, self._channels, self._perfect = reinfer_steps, channels, channels.changes_nothing
         self._mask: tuple[list[int], np.ndarray] | None = None  # active groups, and the vehicles driven in them
         *past, latest = (torch.from_numpy(layout.states(observation.state)) for observation in history)
         observed = [channels.observed(state) for state in past] + [channels.observed(latest, final=False)]
@@ -123,6 +123,8 @@ class PolicyRunner:
 
     def _observed(self) -> Float[np.ndarray, "V N D"]:
         """The present states as the channels show them, in each view."""
+        if self._perfect:
+            return self._state
         return self._channels.observed(torch.from_numpy(self._state)).flatten(0, 1).numpy()
 
     def states_for_policy(self) -> Float[Tensor, "V N D"]:
@@ -131,9 +133,8 @@ class PolicyRunner:
 
     def _action(self, observed: Float[np.ndarray, "V N D"], time: float) -> Float[Tensor, "V N A"]:
         """The policy's action in each view, from a new graph where it is time for one; 0 where the policy fails."""
-        nothing = torch.zeros(*observed.shape[:2], len(self._dynamics.action))
         if len(self.failures) == len(self._state):
-            return nothing
+            return self._no_action(observed)
         try:
             if self._reinfer_steps and self._steps:
                 self._window.append(observed)
@@ -143,12 +144,20 @@ class PolicyRunner:
             action, self._memory = self._act(_relative(observed))
         except PolicyFailure as failure:
             self._fail(range(len(self._state)), str(failure))
-            return nothing
+            return self._no_action(observed)
         return action
+
+    def _no_action(self, observed: Float[np.ndarray, "V N D"]) -> Float[Tensor, "V N A"]:
+        return torch.zeros(*observed.shape[:2], len(self._dynamics.action))
+
+    @property
+    def sees_nearby(self) -> bool:
+        """Whether the policy looks at the vehicles around its groups."""
+        return getattr(self._policy, "sees_nearby", False)
 
     def _act(self, state: Float[Tensor, "V N D"]) -> tuple[Float[Tensor, "V N A"], PolicyState]:
         """The policy's answer; one that looks at more than its groups is told who is near."""
-        if self._around is None or not getattr(self._policy, "sees_nearby", False):
+        if self._around is None or not self.sees_nearby:
             return self._policy.act(self._memory, state)
         nearby = nearby_vehicles(*self._around, self._layout.pose(self._state))
         if self._channels.views > 1:
@@ -187,7 +196,8 @@ class PolicyRunner:
     def _next_state(self, action: Float[np.ndarray, "G N A"]) -> Float[np.ndarray, "G N D"]:
         """The next state by the dynamics, within what the road surface allows; no vehicle drives backwards."""
         following = self._layout.in_bends(self._state, self._dynamics.step(self._state, action, self._dt))
-        following = self._channels.feasible_state(torch.from_numpy(following)).numpy()
+        if not self._perfect:
+            following = self._channels.feasible_state(torch.from_numpy(following)).numpy()
         if self._dynamics.stop is None or not (following[..., self._speed] < 0).any():  # few ever stand still
             return following
         return self._dynamics.stop(torch.from_numpy(self._state), torch.from_numpy(following)).numpy()

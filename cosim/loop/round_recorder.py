@@ -2,9 +2,10 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from cosim.loop import end_conditions
 from cosim.loop.observation import GroupObservation
@@ -26,8 +27,8 @@ class Round:
 
     They are driven for `driven_steps` at most and then watched for `watched_steps`. `driven_roles` are the roles that a
     policy drives, `lanes` are the lanes of a merge, `default_driver` ("sumo" or "recorded") moves all other vehicles.
-    Without `has_third_vehicle` vehicle 2 is removed at the take-over. With `reads_all` all vehicles are read in every
-    step, not only those near to the groups.
+    Without `has_third_vehicle` vehicle 2 is removed at the take-over. With `records_surroundings` the
+    vehicles around the groups are read in every step, not only those near to them.
     """
 
     groups: tuple[Group, ...]
@@ -39,17 +40,17 @@ class Round:
     lanes: MergeLanes | None = None
     has_third_vehicle: bool = True
     default_driver: str = "sumo"
-    reads_all: bool = False
+    records_surroundings: bool = False
 
     @property
     def size(self) -> int:
         """The number of vehicles of a group."""
         return self.rule.size
 
-    @property
-    def vehicles(self) -> list[str]:
+    @cached_property
+    def vehicles(self) -> tuple[str, ...]:
         """The vehicles of all groups."""
-        return [vehicle for group in self.groups for vehicle in group.ids]
+        return tuple(vehicle for group in self.groups for vehicle in group.ids)
 
     def driven_ids(self, g: int) -> tuple[str, ...]:
         """The vehicles of one group that a policy drives."""
@@ -70,6 +71,7 @@ class RoundRecorder:
         self.ends: dict[int, float] = {}
         self.events: list[list[Event]] = [[] for _ in this_round.groups]
         self.touching: dict[int, list[tuple[str, ...]]] = {}  # pairs in contact when a group ended, the rear one first
+        self.contacts: list[np.ndarray] = []  # by step: rows of vehicles in contact, (P, 2)
 
     def add(self, g: int, event: Event) -> None:
         """Record an event of a group."""
@@ -80,21 +82,34 @@ class RoundRecorder:
         when = (time > self.round.groups[g].time + 1e-6) & (time <= self.ends[g] + 1e-6)
         return when[:, None] & np.array([role in roles for role in range(self.round.size)])
 
-    def verify(self, observation: GroupObservation, commanded: Pose) -> None:
-        """Record every driven vehicle that vanished, or whose place or speed is not as the dynamics say."""
-        state = observation.state
-        error = np.maximum(np.abs(state[..., _S] - commanded.s), np.abs(state[..., _D] - commanded.d))
-        error = np.maximum(error, np.abs(state[..., _V] - commanded.v))
-        right = observation.valid & (error <= PLACEMENT_TOLERANCE)
+    def verify(self, observations: Sequence[GroupObservation], commanded: Sequence[tuple[Pose, Sequence[int]]]) -> None:
+        """Record every driven vehicle that vanished, or whose place or speed is not as the dynamics say.
+
+        `observations` are those after each command, `commanded` are the poses with the groups that were driven.
+        """
+        if not observations:
+            return
+        state = np.stack([observation.state for observation in observations])  # Shape: (T, G, N, C)
+        valid = np.stack([observation.valid for observation in observations])
+        error = np.zeros(valid.shape)
+        for feature, name in ((_S, "s"), (_D, "d"), (_V, "v")):
+            wanted = np.stack([getattr(pose, name) for pose, _ in commanded])
+            np.maximum(error, np.abs(state[..., feature] - wanted), out=error)
+        right = valid & (error <= PLACEMENT_TOLERANCE)
         if (right | self._undriven).all():
             return
-        for g in self.active:
-            for role in self._driven_roles:
-                vehicle = (self.round.groups[g].ids[role],)
-                if not observation.valid[g, role]:
-                    self.add(g, Event(observation.time, EventKind.VANISHED, vehicle))
-                elif not right[g, role]:
-                    self.add(g, Event(observation.time, EventKind.MISPLACED, vehicle, f"by {error[g, role]:.3g}"))
+        found: list[list[Event]] = [[] for _ in self.round.groups]
+        for k, (observation, (_, active)) in enumerate(zip(observations, commanded, strict=True)):
+            for g in active:
+                for role in self._driven_roles:
+                    vehicle = (self.round.groups[g].ids[role],)
+                    if not valid[k, g, role]:
+                        found[g].append(Event(observation.time, EventKind.VANISHED, vehicle))
+                    elif not right[k, g, role]:
+                        detail = f"by {error[k, g, role]:.3g}"
+                        found[g].append(Event(observation.time, EventKind.MISPLACED, vehicle, detail))
+        # Before other events of the same time: events are put in the order of time.
+        self.events = [[*new, *events] for new, events in zip(found, self.events, strict=True)]
 
     def judge(
         self,
@@ -108,7 +123,7 @@ class RoundRecorder:
         active = self.active
         if not active:
             return
-        in_contact = self._contacts(snapshot, observation, report)
+        in_contact = self._contacts(snapshot, observation, report, self.look_for_contacts(snapshot))
         lost = self._lost(observation, snapshot)
         by_rule = self._endings_by_rule(observation, before, snapshot)
         for g in active:
@@ -139,12 +154,21 @@ class RoundRecorder:
         }
         return off_road | {g: Ending.LOST for g, all_present in enumerate(present) if not all_present}
 
+    def look_for_contacts(self, snapshot: Snapshot) -> Int[np.ndarray, "P 2"]:
+        """Rows of the vehicles in contact, the first one a member of a group; kept in `contacts`, once per step."""
+        row_of = snapshot.row_of
+        rows = np.array([row_of[vehicle] for vehicle in self.round.vehicles if vehicle in row_of], dtype=int)
+        self.contacts.append(touching_pairs(snapshot, rows))
+        return self.contacts[-1]
+
     def _endings_by_rule(
         self, observation: GroupObservation, before: GroupObservation, snapshot: Snapshot
     ) -> Sequence[Ending | None]:
         """What the group rule says of each group that has not ended yet."""
         this_round = self.round
         if not isinstance(this_round.rule, Merge):
+            if end_conditions.all_follow(before, observation, snapshot, self.active, this_round.has_third_vehicle):
+                return [None] * len(this_round.groups)
             followers = observation.rows[:, :-1]
             ahead = next_ahead(snapshot, followers.ravel()).reshape(followers.shape)
             return end_conditions.car_following(
@@ -172,16 +196,20 @@ class RoundRecorder:
         settled = self._steps_inside[g] * this_round.dt >= this_round.rule.settle - 1e-6
         return ending if ending is not Ending.MERGED or settled else None
 
-    def _contacts(self, snapshot: Snapshot, observation: GroupObservation, report: StepReport) -> set[int]:
+    def _contacts(
+        self, snapshot: Snapshot, observation: GroupObservation, report: StepReport, hits: Int[np.ndarray, "P 2"]
+    ) -> set[int]:
         """The groups in contact by our own test; SUMO's collisions and all disagreements are recorded as events.
 
         The contacts themselves are recorded for the drive and its aftermath at once, by `cosim.world.contacts`.
         """
+        if not len(hits) and not report.collisions and not report.teleported:
+            return set()
         active = self.active
         followers = slice(self.round.size - 1)  # they are tested for contacts, driven or not
         rows = observation.rows[active, followers]
         rows = rows.ravel() if observation.complete else rows[observation.valid[active, followers]]
-        hits = touching_pairs(snapshot, rows)
+        hits = hits[np.isin(hits[:, 0], rows)]
         ours = {frozenset((snapshot.ids[i], snapshot.ids[j])) for i, j in hits.tolist()}
         theirs = {frozenset(pair) for pair in report.collisions}
         if not ours and not theirs and not report.teleported:

@@ -5,7 +5,7 @@ loop in `driving` treats both alike.
 """
 
 from collections.abc import Mapping, Sequence, Set
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import ClassVar
 
@@ -16,6 +16,7 @@ from cosim.loop.observation import GroupObservation
 from cosim.loop.policy_runner import Around, PolicyRunner
 from cosim.loop.returning_vehicles import ReturningVehicles, stop_of
 from cosim.loop.round_recorder import Round, RoundRecorder
+from cosim.loop.state_layouts import Pose
 from cosim.sumo import Sumo
 from cosim.world.episode import COLUMNS, Ending, Event, EventKind, FilterUse
 from cosim.world.road_frame import RoadFrame
@@ -30,13 +31,15 @@ CONTACT_BRAKING = 4.0, 8.0  # [m/s²] of the slower and the faster vehicle after
 class PolicyControl:
     """The control of a policy over the driven roles of a round; `name` is the driver's name in the tables.
 
-    `returning` are the vehicles that were handed back and are not yet on their own.
+    `returning` are the vehicles that were handed back and are not yet on their own, `commanded` are the poses that were
+    commanded in each step so far, with the groups that were driven.
     """
 
     name: str
     round: Round
     runner: PolicyRunner
     returning: ReturningVehicles
+    commanded: list[tuple[Pose, Sequence[int]]] = field(default_factory=list)
 
     @property
     def roles(self) -> tuple[int, ...]:
@@ -47,6 +50,11 @@ class PolicyControl:
     def graphs(self) -> Sequence[tuple[float, InteractionGraph]]:
         """The graphs that the policy used, each with its time [s]."""
         return self.runner.graphs
+
+    @property
+    def sees_nearby(self) -> bool:
+        """Whether the policy looks at the vehicles around its groups."""
+        return self.runner.sees_nearby
 
     @property
     def failures(self) -> Mapping[int, str]:
@@ -75,29 +83,31 @@ class PolicyControl:
         A vehicle between two lanes becomes visible in both.
         """
         self.returning.command(world, road, now)
+        if not active:
+            return
         this_round, pose = self.round, self.runner.pose
-        xy, along = road.to_world(pose.s.ravel(), pose.d.ravel())
-        points, headings, speeds = (
-            xy.tolist(),
-            (along + road.side * pose.heading.ravel()).tolist(),
-            pose.v.ravel().tolist(),
-        )
-        for g in active:
-            for role in this_round.driven_roles:
-                vehicle, lane, k = this_round.groups[g].ids[role], "", this_round.size * g + role
-                if this_round.lanes is not None and role == 0:
-                    lane = shadow_vehicles.place(
-                        world, road, vehicle, pose.of(g, role), this_round.lanes, now, this_round.dt
-                    )
-                world.command(vehicle, points[k][0], points[k][1], headings[k], speeds[k], lane)
+        self.commanded.append((pose, active))
+        places = [(g, role) for g in active for role in this_round.driven_roles]
+        vehicles = [this_round.groups[g].ids[role] for g, role in places]
+        at = np.array([this_round.size * g + role for g, role in places])
+        s, d, heading, v = (of.ravel()[at] for of in (pose.s, pose.d, pose.heading, pose.v))
+        xy, along = road.to_world(s, d)
+        lanes: dict[str, str] = {}
+        if this_round.lanes is not None and 0 in this_round.driven_roles:
+            for g in active:
+                vehicle = this_round.groups[g].ids[0]
+                lanes[vehicle] = shadow_vehicles.place(
+                    world, road, vehicle, pose.of(g, 0), this_round.lanes, now, this_round.dt
+                )
+        world.command_all(vehicles, xy, along + road.side * heading, v, lanes)
 
-    def verify(self, observation: GroupObservation, active: Sequence[int], recorder: RoundRecorder) -> GroupObservation:
-        """Record driven vehicles that are not where they were commanded to be.
-
-        Returns the observation with the dynamics' acceleration of the driven vehicles.
-        """
-        recorder.verify(observation, self.runner.pose)
+    def with_commanded_acceleration(self, observation: GroupObservation, active: Sequence[int]) -> GroupObservation:
+        """The observation with the dynamics' acceleration of the driven vehicles."""
         return self.runner.with_commanded_acceleration(observation, active)
+
+    def verify(self, observations: Sequence[GroupObservation], recorder: RoundRecorder) -> None:
+        """Record driven vehicles that were not where they had been commanded to be; `observations` are of each step."""
+        recorder.verify(observations, self.commanded)
 
     def hand_back(
         self,
@@ -156,6 +166,7 @@ class SumoControl:
 
     name: str
     roles: ClassVar[tuple[int, ...]] = ()
+    sees_nearby: ClassVar[bool] = False
     graphs: ClassVar[Sequence[tuple[float, InteractionGraph]]] = ()
     failures: ClassVar[Mapping[int, str]] = MappingProxyType({})
 
@@ -172,10 +183,13 @@ class SumoControl:
     def command(self, world: Sumo, road: RoadFrame, active: Sequence[int], now: Snapshot) -> None:
         """Command nothing."""
 
-    def verify(self, observation: GroupObservation, active: Sequence[int], recorder: RoundRecorder) -> GroupObservation:
+    def with_commanded_acceleration(self, observation: GroupObservation, active: Sequence[int]) -> GroupObservation:
         """The observation as it is."""
-        del active, recorder
+        del active
         return observation
+
+    def verify(self, observations: Sequence[GroupObservation], recorder: RoundRecorder) -> None:
+        """Nothing was commanded."""
 
     def hand_back(
         self,

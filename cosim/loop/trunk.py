@@ -101,7 +101,7 @@ class Trunk:
             dt=scenario.step,
             lanes=self._running.lanes,
             default_driver="sumo" if self._running.recorded is None else "recorded",
-            reads_all=scenario.surroundings,
+            records_surroundings=scenario.surroundings,
         )
 
     def _barred(self, now: Snapshot) -> dict[str, str]:

@@ -176,6 +176,11 @@ class SensingAndControl:
         """The number of views."""
         return max(self.view_of) + 1
 
+    @property
+    def changes_nothing(self) -> bool:
+        """Whether sensors and actuators are perfect and the road is not slippery; there is one view then."""
+        return self.views == 1 and not self.observation.stages and not self.action.stages and self.road is None
+
     def observed(self, state: States, *, final: bool = True) -> Float[Tensor, "E G N D"]:
         """What each view shows of the state; with `final=False` only what it would show."""
         views = state.expand(self.views, *state.shape)

@@ -9,12 +9,16 @@ if `setSpeed` is called as well and the safety checks are off.
 import math
 import os
 import sys
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import repeat
 from pathlib import Path
 from tempfile import TemporaryFile
 
 import libsumo
+import numpy as np
+from jaxtyping import Float
 
 from cosim.sumo.bends import slow_before_bends
 from cosim.sumo.cache import CachedVehicleValues
@@ -36,8 +40,10 @@ _KEEP_ROUTE_EXACT_POSITION = 3  # moveToXY: keep the route (1) and do not snap t
 _GIVEN_LANE_EXACT_POSITION = 2  # moveToXY: on the edge and lane that the call names, and do not snap to it
 
 # libsumo's functions without their Python wrappers, for what is called often: half the time
-_speed = libsumo._libsumo.vehicle_getSpeed
-_set_speed, _move = libsumo._libsumo.vehicle_setSpeed, libsumo._libsumo.vehicle_moveToXY
+_raw = libsumo._libsumo
+_set_speed, _move, _time = _raw.vehicle_setSpeed, _raw.vehicle_moveToXY, _raw.simulation_getTime
+_arrived, _collisions = _raw.simulation_getArrivedIDList, _raw.simulation_getCollisions
+_teleporting, _teleported = _raw.simulation_getStartingTeleportIDList, _raw.simulation_getEndingTeleportIDList
 _NATIVE_ERRORS = (libsumo.TraCIException, libsumo.FatalTraCIError)
 
 
@@ -51,9 +57,9 @@ class Sumo:
     def __init__(self) -> None:
         self._sizes = CachedVehicleValues(lambda v: (libsumo.vehicle.getLength(v), libsumo.vehicle.getWidth(v)))
         self.net, self.drivers = Net(), Drivers(self._sizes)
-        self._states = StateReader(self._sizes, self.is_taken)
-        self._known = self._states.positions.known
         self._modes: dict[str, tuple[int, int]] = {}  # (speed mode, lane-change mode) before take-over
+        self._states = StateReader(self._sizes, self._modes, self.is_taken)
+        self._known = self._states.positions.known
         self._returning: dict[str, tuple[float, float]] = {}  # (time headway, minimum gap) before the hand-back
         self._shadowed: set[str] = set()  # vehicles that have a shadow vehicle
         self._commanded: set[str] = set()  # vehicles with a moveToXY since the last step
@@ -67,13 +73,13 @@ class Sumo:
             self.before_step()
         libsumo.simulationStep()
         self._commanded.clear()
-        arrived = libsumo.simulation.getArrivedIDList()
-        self._states.positions.update(arrived)
-        pairs = [(hit.collider, hit.victim) for hit in libsumo.simulation.getCollisions()]
+        arrived, begun, hits = _arrived(), _teleporting(), _collisions()
+        self._states.positions.update(arrived, bool(begun or _teleported()))
+        pairs = [(hit.collider, hit.victim) for hit in hits] if hits else ()
         report = StepReport(
-            time=libsumo.simulation.getTime(),
+            time=_time(),
             arrived=without_shadows(arrived),
-            teleported=without_shadows(libsumo.simulation.getStartingTeleportIDList()),
+            teleported=without_shadows(begun),
             collisions=tuple(pair for pair in pairs if len(without_shadows(pair)) == 2),
         )
         self.teleports += len(report.teleported)
@@ -93,9 +99,15 @@ class Sumo:
         """
         return self._states.snapshot(road, around, lane_ahead, span)
 
-    def near_and_all(self, road: RoadFrame, around: Sequence[str]) -> tuple[Snapshot, Instant]:
-        """The snapshot of the vehicles near to those `around` and some more, and all vehicles as they are recorded."""
-        return self._states.near_and_all(road, around)
+    def near_and_recorded(
+        self, road: RoadFrame, around: Sequence[str], spans: Float[np.ndarray, "G 2"]
+    ) -> tuple[Snapshot, Instant]:
+        """The snapshot of the vehicles near to those `around` and some more, and those to record, read once.
+
+        The latter are all vehicles in some spans of s [m] and some more; every span begins at its first value, ends at
+        its second one, and moves slower than 10 m per step. All vehicles `around` are to be in a span.
+        """
+        return self._states.near_and_recorded(road, around, spans)
 
     def take(self, vehicle: str) -> None:
         """Take a vehicle from SUMO's drivers; from now on it must be commanded in every step."""
@@ -123,6 +135,25 @@ class Sumo:
         else:
             _move(vehicle, "", -1, x, y, sumo_angle_of(heading), _KEEP_ROUTE_EXACT_POSITION)
         self._commanded.add(vehicle)
+
+    def command_all(
+        self,
+        vehicles: Sequence[str],
+        xy: Float[np.ndarray, "K 2"],
+        heading: Float[np.ndarray, " K"],
+        speed: Float[np.ndarray, " K"],
+        lanes: Mapping[str, str],
+    ) -> None:
+        """`command` for several vehicles at once, on the given `lanes` where they name one that is not ""."""
+        speeds, headings, (xs, ys) = speed.tolist(), heading.tolist(), xy.T.tolist()
+        if any(lanes.values()) or not math.isfinite(sum(xs) + sum(ys) + sum(headings) + sum(speeds)):
+            for vehicle, *pose in zip(vehicles, xs, ys, headings, speeds, strict=True):
+                self.command(vehicle, *pose, lane=lanes.get(vehicle, ""))
+            return
+        options = repeat(""), repeat(-1), xs, ys, map(sumo_angle_of, headings), repeat(_KEEP_ROUTE_EXACT_POSITION)
+        deque(map(_set_speed, vehicles, speeds), maxlen=0)  # `deque` calls them all, in less time than a loop
+        deque(map(_move, vehicles, *options), maxlen=0)
+        self._commanded.update(vehicles)
 
     def is_commanded(self, vehicle: str) -> bool:
         """Whether the vehicle has a command for the coming step."""
@@ -212,7 +243,7 @@ class Sumo:
     def speeds(self, vehicles: Iterable[str]) -> dict[str, float]:
         """Speeds [m/s] of those of the vehicles that are in the simulation."""
         present = self._known.present
-        return {vehicle: _speed(vehicle) for vehicle in vehicles if vehicle in present}
+        return {vehicle: _raw.vehicle_getSpeed(vehicle) for vehicle in vehicles if vehicle in present}
 
     def ask_for_speeds(self, vehicles: Iterable[str], speeds: Mapping[str, float]) -> None:
         """Ask SUMO's drivers of these vehicles for the given speeds [m/s] in the next step.

@@ -21,36 +21,33 @@ NEAR_GROUP = 50.0  # [m] behind the last and ahead of the first member, in which
 
 
 def lane_entries(
-    takeover: Snapshot,
-    trace: Sequence[Snapshot],
-    members: Sequence[str],
-    end: float,
-    earlier: Sequence[np.ndarray] | None = None,
-) -> tuple[LaneEntry, ...]:
-    """Outsiders that changed into the lane of the group, near the group, until AFTERMATH after its hand-back at `end`.
+    takeover: Snapshot, trace: Sequence[Snapshot], members: Sequence[Sequence[str]], ends: Sequence[float]
+) -> list[tuple[LaneEntry, ...]]:
+    """Outsiders that changed into the lane of each group, near it, until AFTERMATH after its hand-back.
 
-    `trace` are the snapshots after the take-over. The lane of the group is that of vehicle 1 at the take-over: the lane
-    of all members in car following, the target lane of a merge. `earlier` is what `earlier_positions` gives, which is
-    the same for all groups.
+    `trace` are the snapshots after the take-over, `members` the vehicles of each group, `ends` [s] their hand-backs.
+    The lane of a group is that of vehicle 1 at the take-over: the lane of all members in car following, the target lane
+    of a merge.
     """
-    lane = takeover.d[takeover.row_of[members[1]]]
-    found: list[LaneEntry] = []
-    for now, d in zip(trace, earlier_positions(takeover, trace) if earlier is None else earlier, strict=True):
-        if now.time > end + AFTERMATH + 1e-6:
-            break
-        entered = (np.abs(now.d - lane) < SAME_LANE) & (np.abs(d - lane) >= SAME_LANE)
-        present = list(now.rows(members).values())
-        if present and entered.any():
-            s = now.s[present]
-            entered &= (now.s >= s.min() - NEAR_GROUP) & (now.s <= s.max() + NEAR_GROUP)
-            names = [now.ids[row] for row in np.flatnonzero(entered)]
-            found += [LaneEntry(vehicle, now.time) for vehicle in names if vehicle not in members]
-    return tuple(found)
-
-
-def earlier_positions(takeover: Snapshot, trace: Sequence[Snapshot]) -> list[np.ndarray]:
-    """[V] Lateral positions [m] of the vehicles of each snapshot of the trace one snapshot earlier; NaN: not seen."""
-    return [_earlier_d(before, now) for before, now in pairwise((takeover, *trace))]
+    found: list[list[LaneEntry]] = [[] for _ in members]
+    if not trace:
+        return [tuple(entries) for entries in found]
+    lanes = np.array([takeover.d[takeover.row_of[of[1]]] for of in members])
+    earlier = [_earlier_d(before, now) for before, now in pairwise((takeover, *trace))]
+    now, before = np.concatenate([now.d for now in trace]), np.concatenate(earlier)
+    entered = (np.abs(now - lanes[:, None]) < SAME_LANE) & (np.abs(before - lanes[:, None]) >= SAME_LANE)
+    first = np.cumsum([0, *(len(now.ids) for now in trace)])
+    groups, places = (of.tolist() for of in np.nonzero(entered))
+    for g, place in zip(groups, places, strict=True):
+        step = int(np.searchsorted(first, place, side="right")) - 1
+        snapshot, row, own = trace[step], place - int(first[step]), members[g]
+        vehicle, present = snapshot.ids[row], [*snapshot.rows(own).values()]
+        if vehicle in own or not present or snapshot.time > ends[g] + AFTERMATH + 1e-6:
+            continue
+        s = snapshot.s[present]
+        if s.min() - NEAR_GROUP <= snapshot.s[row] <= s.max() + NEAR_GROUP:
+            found[g].append(LaneEntry(vehicle, snapshot.time))
+    return [tuple(entries) for entries in found]
 
 
 def _earlier_d(before: Snapshot, now: Snapshot) -> Float[np.ndarray, " V"]:

@@ -14,20 +14,26 @@ SAME_PLACE = 50.0  # [m] along the road, beyond which vehicles in one place of t
 
 
 def contacts_of(
-    trace: Sequence[Snapshot], names: Sequence[Mapping[str, str]], ends: Sequence[float]
+    trace: Sequence[Snapshot],
+    names: Sequence[Mapping[str, str]],
+    ends: Sequence[float],
+    touching: Sequence[Int[np.ndarray, "P 2"]] | None = None,
 ) -> list[tuple[Contact, ...]]:
     """The contacts of every group in the order of time; every pair of vehicles once, at its first contact.
 
     `trace` are the snapshots after the take-over. `names` gives, for each group, the names by vehicle id that
     `Contact.who` uses: the roles of the members, and CUTTER for a neighbour that was made to cut in. Each contact of a
-    group involves at least one member. `ends` [s] are the hand-backs.
+    group involves at least one member. `ends` [s] are the hand-backs. `touching` is what `touching_pairs` gives for the
+    members in each snapshot, where that is known already.
     """
     members = [{vehicle for vehicle, name in of.items() if name != CUTTER} for of in names]
-    everyone = set().union(*members)
+    if touching is None:
+        everyone = set().union(*members)
+        touching = [touching_pairs(now, rows_of(now.ids, everyone)) for now in trace]
     found: list[dict[frozenset[str], Contact]] = [{} for _ in names]
-    for before, now in zip((trace[0], *trace), trace, strict=False):
-        rows = rows_of(now.ids, everyone)
-        hits = touching_pairs(now, rows)
+    for before, now, hits in zip((trace[0], *trace), trace, touching, strict=False):
+        if not len(hits):
+            continue
         for pair in sorted({tuple(sorted(hit)) for hit in hits.tolist()}):
             vehicles = frozenset(now.ids[row] for row in pair)
             for g, end in enumerate(ends):
@@ -42,6 +48,8 @@ def touching_pairs(now: Snapshot, rows: Int[np.ndarray, " R"]) -> Int[np.ndarray
     Where a road passes over itself, vehicles far apart along it do not touch.
     """
     hits = overlapping_pairs(now.xy, now.heading, now.length, now.width, rows)
+    if not len(hits):
+        return hits
     one, other = hits[:, 0], hits[:, 1]
     near = np.abs(now.s[one] - now.s[other]) <= now.length[one] + now.length[other] + SAME_PLACE
     return hits if near.all() else hits[near]

@@ -123,6 +123,12 @@ class RoadFrame:
         first = 0.0 if self.is_straight else -EXTENSION
         return line[:-1], direction, first + np.concatenate([[0.0], np.cumsum(length)])
 
+    @cached_property
+    def _straight(self) -> tuple[np.ndarray, float]:
+        """The unit vector to the left of a straight line, and its heading [rad]."""
+        x, y = self._segments[1][0]
+        return np.array([-y, x]), float(np.arctan2(y, x))
+
     @property
     def is_straight(self) -> bool:
         """Whether the reference line is one straight segment."""
@@ -206,6 +212,10 @@ class RoadFrame:
     ) -> tuple[Float[np.ndarray, "V 2"], Float[np.ndarray, " V"]]:
         """World points at road coordinates, and the heading of the road there [rad]."""
         start, direction, arc = self._segments
+        if self.is_straight and not self.mirrored:
+            normal, heading = self._straight
+            xy = start[0] + (s + self.origin - arc[0])[:, None] * direction[0] + d[:, None] * normal
+            return xy, np.full(len(s), heading)
         segment = self._segment_at(s)
         along = (s + self.origin - arc[segment])[:, None]
         xy = start[segment] + along * direction[segment] + d[:, None] * self._normal_at(s, segment)

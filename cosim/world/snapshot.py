@@ -36,6 +36,21 @@ class Snapshot:
     width: Float[np.ndarray, " V"]
     lane: tuple[str, ...]
 
+    @classmethod
+    def of_block(
+        cls,
+        time: float,
+        ids: tuple[str, ...],
+        block: Float[np.ndarray, "C V"],
+        sizes: Float[np.ndarray, "2 V"],
+        lane: tuple[str, ...],
+    ) -> "Snapshot":
+        """The snapshot whose features of COLUMNS are the rows of a block; `sizes` are lengths and widths [m]."""
+        s, d, _, _, heading, v, a = block
+        snapshot = cls(time, ids, block[2:4].T, heading, v, a, s, d, sizes[0], sizes[1], lane)
+        snapshot.__dict__["state"] = block.T  # what the cached property would join again
+        return snapshot
+
     @cached_property
     def row_of(self) -> Mapping[str, int]:
         """Row of every vehicle."""
@@ -61,7 +76,7 @@ class Snapshot:
         return {vehicle: self.row_of[vehicle] for vehicle in ids if vehicle in self.row_of}
 
 
-@lru_cache(maxsize=2)
+@lru_cache(maxsize=8)
 def row_of_ids(ids: tuple[str, ...]) -> Mapping[str, int]:
     """Row of every id; cached, as most steps have the same ids as the one before."""
     return dict(zip(ids, range(len(ids)), strict=True))
@@ -159,8 +174,10 @@ class NearbyFilter:
 
     def update(self, entered: Sequence[str], gone: Sequence[str]) -> None:
         """Add the vehicles that entered the net in a step, and drop those that left it."""
-        if entered or gone:
-            self.ids = tuple([vehicle for vehicle in (*self.ids, *entered) if vehicle not in gone])
+        if entered:
+            self.ids = (*self.ids, *entered)
+        if any(vehicle in self.ids for vehicle in gone):
+            self.ids = tuple([vehicle for vehicle in self.ids if vehicle not in gone])
 
 
 LANE_AHEAD = 80.0  # [m] along its lane, within which other vehicles count as near to a vehicle by default

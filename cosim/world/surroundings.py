@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -9,7 +10,6 @@ from jaxtyping import Bool, Float, Int
 from cosim.world.snapshot import COLUMNS, Snapshot
 
 REACH = 150.0  # [m] along the road, behind the rearmost and ahead of the foremost vehicle of a group
-_S = COLUMNS.index("s")
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class Surroundings:
             ids=tuple(number),
             vehicle=np.concatenate(vehicle),
             time=np.repeat([now.time for now in snapshots], count),
-            state=np.concatenate([now.state for now in snapshots]),
+            state=np.concatenate([now.state.T for now in snapshots], axis=1).T,  # each feature in one stretch of memory
             length=np.concatenate([now.length for now in snapshots]),
             width=np.concatenate([now.width for now in snapshots]),
         )
@@ -64,10 +64,17 @@ class Surroundings:
     def __len__(self) -> int:
         return len(self.time)
 
-    def __getitem__(self, rows: Bool[np.ndarray, " R"] | Int[np.ndarray, " Q"]) -> "Surroundings":
+    def __getitem__(self, rows: Bool[np.ndarray, " R"] | Int[np.ndarray, " Q"] | slice) -> "Surroundings":
         """Some of the observations, with the ids as they are."""
-        arrays = ("vehicle", "time", "state", "length", "width")
-        return replace(self, **{name: getattr(self, name)[rows] for name in arrays})
+        arrays = ("vehicle", "time", "length", "width")
+        features = self.state.T[:, rows]
+        return replace(self, state=features.T, **{name: getattr(self, name)[rows] for name in arrays})
+
+    @cached_property
+    def instants(self) -> tuple[Float[np.ndarray, " I"], Int[np.ndarray, " I"]]:
+        """The times [s] of the observations, and the row at which the observations of each of them end."""
+        last = np.flatnonzero(np.append(np.diff(self.time) > 0, len(self) > 0))
+        return self.time[last], last + 1
 
     def feature(self, name: str) -> Float[np.ndarray, " R"]:
         """One of COLUMNS."""
@@ -82,7 +89,13 @@ class Surroundings:
             time: instants [s] of the group, increasing; they include those observed here.
             s: positions [m] of its N vehicles at these instants.
         """
-        at = np.searchsorted(time, self.time - 1e-6)
-        own = self.state[:, _S]
-        inside = (own >= s.min(axis=1)[at] - REACH) & (own <= s.max(axis=1)[at] + REACH)
-        return self[inside & (self.time >= begin - 1e-6) & (self.time <= end + 1e-6)]
+        when, ends = self.instants
+        first, last = np.searchsorted(when, [begin - 1e-6, end + 1e-6])
+        if first == last:
+            return self[:0]
+        begins = np.concatenate([[0], ends[:-1]])
+        part, count = slice(begins[first], ends[last - 1]), (ends - begins)[first:last]
+        at = np.searchsorted(time, when[first:last] - 1e-6)
+        low, high = (np.repeat(bound[at], count) for bound in (s.min(axis=1) - REACH, s.max(axis=1) + REACH))
+        own = self.feature("s")[part]
+        return self[part.start + np.flatnonzero((own >= low) & (own <= high))]

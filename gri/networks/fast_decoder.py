@@ -54,6 +54,9 @@ def bind_numpy(decoder: Decoder, graph: DenseGraph | PairGraph) -> Callable[[np.
     if not isinstance(decoder.body, FeedForward):
         return None
     folded, unit = fold(decoder, decoder.body, graph).numpy(), decoder.action_unit.numpy()
+    assert isinstance(folded.sum_messages, SparseMessageSum)
+    if folded.sum_messages.shape[1] <= MOST_DENSE:
+        return FewVehicles(folded, unit)
     return lambda state: folded(state, state) * unit
 
 
@@ -171,6 +174,87 @@ class SparseMessageSum:
         messages = np.zeros((senders, scenes, receivers, self.second.shape[1]), dtype=hidden.dtype)
         messages[i, scene, j] = NUMPY.silu(self.bias + hidden @ self.second)
         return messages.sum(0)
+
+
+class FewVehicles:
+    """A folded policy in numpy, times `unit`: the same numbers, bit for bit, with as few calls of numpy as possible.
+
+    What goes into x·σ(x) = h + h·tanh(h) is computed as h = x/2 right away, with half the weights and biases: halving
+    is exact in floating point. Results are written into the same arrays in every call, except the last one.
+    """
+
+    def __init__(self, policy: FoldedPolicy, unit: np.ndarray) -> None:
+        sums, self._ends, self._unit = policy.sum_messages, policy.ends, unit
+        assert isinstance(sums, SparseMessageSum), "the policy is to be in numpy"
+        (scene, sender, receiver), (scenes, vehicles, driven) = sums.pairs, sums.shape
+        order, self._turns = _by_turns(scene * driven + receiver)
+        self._senders, self._receivers = ((scene * vehicles + of)[order] for of in (sender, receiver))
+        self._mask = None if sums.mask.all() else sums.mask[order]
+        rows = np.arange(scenes)[:, None] * vehicles + np.arange(driven)
+        self._driven = slice(None) if driven == vehicles else rows.ravel()
+        *inner, last = policy.later_layers
+        self._read, self._edge = (policy.weight.T / 2, policy.bias / 2), (sums.second / 2, sums.bias[order] / 2)
+        self._node = policy.node_weight.T / 2
+        self._inner, self._last = [(weight.T / 2, bias / 2) for weight, bias in inner], (last[0].T, last[1])
+        self._shape, kind = (scenes, driven, len(last[1])), policy.weight.dtype
+        self._parts = np.empty((scenes * vehicles, len(policy.bias)), kind)
+        self._sent = np.empty((len(order), policy.ends[0]), kind)
+        self._messages = np.empty((len(order), sums.second.shape[1]), kind)
+        self._sums = np.zeros((scenes * driven, sums.second.shape[1]), kind)  # receivers without a sender keep the 0
+        self._layers = [
+            np.empty((scenes * driven, len(of)), kind) for of in (policy.node_weight, *(b for _, b in inner))
+        ]
+
+    def __call__(self, state: np.ndarray) -> np.ndarray:
+        """Mean action [B, R, A] for states [B, N, D]."""
+        parts, sent, messages, sums = self._parts, self._sent, self._messages, self._sums
+        end_sender, end_receiver = self._ends
+        _product(state.reshape(len(parts), -1), *self._read, parts)
+        np.add(parts[self._senders, :end_sender], parts[self._receivers, end_sender:end_receiver], out=sent)
+        _silu_of_half(sent)
+        if self._mask is not None:
+            sent *= self._mask
+        _product(sent, *self._edge, messages)
+        _silu_of_half(messages)
+        for turn, (pairs, receivers) in enumerate(self._turns):
+            sums[receivers] = messages[pairs] if turn == 0 else sums[receivers] + messages[pairs]
+        hidden = np.matmul(sums, self._node, out=self._layers[0])
+        hidden += parts[self._driven, end_receiver:]
+        _silu_of_half(hidden)
+        for (weight, bias), layer in zip(self._inner, self._layers[1:], strict=True):
+            _product(hidden, weight, bias, layer)
+            _silu_of_half(layer)
+            hidden = layer
+        action = hidden @ self._last[0]
+        action += self._last[1]
+        action *= self._unit
+        return action.reshape(self._shape)
+
+
+def _by_turns(receivers: np.ndarray) -> tuple[np.ndarray, list[tuple[slice, np.ndarray]]]:
+    """An order of pairs in which the first pairs of all receivers come first, then the second ones, and so on.
+
+    Also, for each of these turns, where its pairs are and their receivers: a receiver has one pair in a turn at most.
+    """
+    turn = np.zeros(len(receivers), dtype=int)
+    seen: dict[int, int] = {}
+    for row, receiver in enumerate(receivers.tolist()):
+        turn[row] = seen[receiver] = seen.get(receiver, -1) + 1
+    order = np.argsort(turn, kind="stable")
+    ends = np.cumsum(np.bincount(turn)).tolist() if len(turn) else []
+    return order, [(slice(a, b), receivers[order][a:b]) for a, b in zip([0, *ends], ends, strict=False)]
+
+
+def _product(x: np.ndarray, weight: np.ndarray, bias: np.ndarray, out: np.ndarray) -> None:
+    np.matmul(x, weight, out=out)
+    out += bias
+
+
+def _silu_of_half(half: np.ndarray) -> None:
+    """x·σ(x) in the place of x/2."""
+    curve = np.tanh(half)
+    curve *= half
+    half += curve
 
 
 def _array(value: Tensor) -> np.ndarray:

@@ -72,9 +72,9 @@ def log_evidence(
     values = values.clamp(min=0)
     explained = (vectors.mT @ (scaled.mT @ residual[..., None]))[..., 0] ** 2
     square, steps = residual.square().sum(-1), y.shape[1]
-    found = []
-    for sigma in NOISE:
-        rest = (square - (explained / (sigma**2 + values)).sum(-1)) / sigma**2
-        log_det = (1 + values / sigma**2).log().sum(-1) + 2 * steps * log(sigma)
-        found.append(-0.5 * (rest + log_det + steps * log(2 * pi)))
-    return torch.stack(found).logsumexp(0) - log(len(NOISE))
+    variance, log_sigma = torch.tensor([(sigma**2, 2 * steps * log(sigma)) for sigma in NOISE], dtype=y.dtype).mT
+    values, variance = values[None], variance[:, None]  # Shapes: (1, P, C), (S, 1)
+    rest = (square - (explained / (variance[..., None] + values)).sum(-1)) / variance
+    log_det = (1 + values / variance[..., None]).log().sum(-1) + log_sigma[:, None]
+    found = -0.5 * (rest + log_det + steps * log(2 * pi))
+    return found.logsumexp(0) - log(len(NOISE))

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from cosim.loop.end_conditions import car_following, merging
+from cosim.loop.end_conditions import all_follow, car_following, merging
+from cosim.loop.observation import GroupObservation
 from cosim.world.episode import COLUMNS, Ending
 from cosim.world.groups import MergeLanes, next_ahead
 from cosim.world.snapshot import LaneStrip, Snapshot
@@ -79,3 +80,30 @@ def test_car_following():
     assert ending(chain, chain) is None
     assert ending(broken, broken) is Ending.CUT_IN
     assert ending(chain, snapshot((0, 10, 20), (0, 3.5, 0))) is Ending.LANE_LEFT
+
+
+@pytest.mark.parametrize("has_third_vehicle", [True, False])
+def test_the_quick_look_ends_no_group_that_the_rule_would_end(has_third_vehicle):
+    """Two groups among random vehicles in three lanes; now and then one is between, beside or level with another."""
+    rng, quick, together = np.random.default_rng(5), 0, 0
+    for _ in range(2000):
+        order = rng.permutation(np.arange(8.0) * 10)
+        d = rng.choice([0.0, 0.6, 3.5], 8, p=[0.5, 0.1, 0.4])
+        s = np.where(rng.random(8) < 0.05, order[0], order)
+        s[:3], s[3:6] = np.sort(s[:3]), np.sort(s[3:6])
+        d[:3], d[3:6] = (np.where(rng.random(3) < 0.9, lane, d[:3]) for lane in (0.0, 3.5))
+        now, rows = snapshot(s, d), np.arange(6).reshape(2, 3)
+        before = snapshot(s, d + np.where(rng.random(8) < 0.02, 3.5, 0.0))
+        seen = [GroupObservation(0.0, _features(at)[rows], np.ones((2, 3), bool), rows) for at in (before, now)]
+        ahead = next_ahead(now, rows[:, :-1].ravel()).reshape(2, 2)
+        endings = car_following(seen[0].state, seen[1].state, rows, ahead, has_third_vehicle)
+        follows = all_follow(seen[0], seen[1], now, [0, 1], has_third_vehicle)
+        assert endings == [None, None] or not follows
+        quick, together = quick + follows, together + (endings == [None, None])
+    assert 50 < together < 1900
+    assert quick > 0.9 * together  # it is unsure where two vehicles are at the same place
+
+
+def _features(seen: Snapshot) -> np.ndarray:
+    columns = {"s": seen.s, "d": seen.d, "v": seen.v}
+    return np.stack([columns.get(name, np.zeros(len(seen.ids))) for name in COLUMNS], -1)

@@ -14,7 +14,7 @@ MERGE = (1, 0, 2)
 def judged(ending: Ending, *trace, takeover=START, members=("a", "b", "c"), **changes):
     """The episode with its cause, and its lane entries."""
     end = trace[-1].time
-    entries = lane_entries(takeover, trace, members, end)
+    [entries] = lane_entries(takeover, trace, [members], [end])
     return with_cause(episode(ending, end, lane_entries=entries, **changes), members, takeover, trace)
 
 
@@ -120,6 +120,6 @@ def test_lane_entries_are_changes_into_the_lane_near_the_group():
         snapshot(0.4, **CHAIN, x=(30.0, 0.9), far=(45.0 + NEAR_GROUP, 0.0), new=(10.0, 0.0)),
         snapshot(0.6, **CHAIN, x=(30.0, 0.0), far=(45.0 + NEAR_GROUP, 0.0), new=(10.0, 0.0)),
     ]
-    found = lane_entries(START, trace, ("a", "b", "c"), end=0.6)
+    [found] = lane_entries(START, trace, [("a", "b", "c")], ends=[0.6])
     assert found == (LaneEntry("x", 0.4),), "neither far away, nor in the lane when it was first seen"
-    assert lane_entries(START, trace, ("a", "b", "c"), end=-10.0) == ()
+    assert lane_entries(START, trace, [("a", "b", "c")], ends=[-10.0]) == [()]

@@ -1,3 +1,4 @@
+import numpy as np
 import pytest
 import torch
 from torch import Tensor
@@ -44,6 +45,24 @@ def test_numpy_drives_as_torch_does(silent: bool, types: int, generator: torch.G
     assert by_numpy is not None
     expected = fast_decoder.bind(policy, graph)(state, torch.zeros(5, 3, 0))[0]
     torch.testing.assert_close(torch.from_numpy(by_numpy(state.numpy())), expected, rtol=1e-4, atol=1e-4)
+
+
+@pytest.mark.parametrize("driven", [1, 2, 3])
+@pytest.mark.parametrize("types", [2, 4])
+@pytest.mark.parametrize("silent", [True, False])
+def test_few_calls_of_numpy_give_the_same_bits(silent: bool, types: int, driven: int, generator: torch.Generator):
+    """Call by call, although results are written into the same arrays; no two scenes have the same graph."""
+    policy, graph = decoder("feed_forward", silent, types), random_graph(generator, types)[:, :, :driven]
+    few = fast_decoder.bind_numpy(policy, graph)
+    assert isinstance(few, fast_decoder.FewVehicles)
+    many, unit = fast_decoder.fold(policy, policy.body, graph).numpy(), policy.action_unit.numpy()  # type: ignore[arg-type]
+    actions = []
+    for _ in range(3):
+        state = random_state(generator).numpy() / 10
+        actions.append((few(state), many(state, state) * unit))
+    for got, expected in actions:
+        assert np.array_equal(got, expected)
+    assert not np.array_equal(actions[0][0], actions[1][0])
 
 
 def test_detached_senders_get_no_gradient(generator: torch.Generator):
