@@ -17,7 +17,7 @@ def contacts_of(
     trace: Sequence[Snapshot],
     names: Sequence[Mapping[str, str]],
     ends: Sequence[float],
-    touching: Sequence[Int[np.ndarray, "P 2"]] | None = None,
+    touching: Sequence[Int[np.ndarray, "_ 2"]] | None = None,
 ) -> list[tuple[Contact, ...]]:
     """The contacts of every group in the order of time; every pair of vehicles once, at its first contact.
 
