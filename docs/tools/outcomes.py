@@ -1,6 +1,7 @@
 """Make the page of outcomes from stress tests: `python docs/tools/outcomes.py NAME=FOLDER[,FOLDER…] …`.
 
-Rows of a later folder replace those of the same policy in an earlier one, so a policy can be measured again alone.
+Rows of a later folder replace those of the same policy in an earlier one, so a policy can be measured again alone. A
+CSV file that this script wrote does instead of a folder.
 """
 
 import sys
@@ -24,8 +25,10 @@ POLICIES = {
 
 def estimates_of(folders: list[Path]) -> pd.DataFrame:
     """The three facts per cell and policy; of several folders with a policy, the last one's."""
-    parts = [pd.read_parquet(folder / "estimates.parquet").assign(folder=k) for k, folder in enumerate(folders)]
-    found = pd.concat(parts)
+    parts = [
+        pd.read_csv(path) if path.suffix == ".csv" else pd.read_parquet(path / "estimates.parquet") for path in folders
+    ]
+    found = pd.concat([part.assign(folder=k) for k, part in enumerate(parts)])
     latest = found.groupby("policy")["folder"].transform("max")
     found = found[(found["folder"] == latest) & found["measure"].isin(FACTS)]
     return found[["perturbation", "intensity", "policy", "measure", "value", "low", "high", "most", "n"]]
