@@ -1,12 +1,12 @@
 """Groups of one branch do not act on each other, and what nothing acts on moves exactly as in the counterpart."""
 
-import libsumo
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
 from cosim.loop.vehicles_ahead import SpeedRecord
 from cosim.spec.loading import load_scenario
+from cosim.sumo import simulation
 from cosim.world.counterparts import leader_deviation
 from cosim.world.episode import COLUMNS
 from gri.core.policy import ConstantVelocity, IntelligentDriver
@@ -73,7 +73,7 @@ def test_reports_of_sumo_are_counted_in_every_step(short_scenario, simulate, mon
     class Hit:
         collider, victim = "a", "b"
 
-    monkeypatch.setattr(libsumo.simulation, "getCollisions", lambda: [Hit])
+    monkeypatch.setattr(simulation, "_collisions", lambda: [Hit])
     outcome = simulate(replace(short_scenario, episodes=2), IntelligentDriver(0.2))
     assert outcome.trunk.collision_steps == round(outcome.simulated / short_scenario.step)
     driven = short_scenario.steps(short_scenario.horizon + short_scenario.watch)
