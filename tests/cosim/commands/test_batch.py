@@ -68,6 +68,7 @@ def test_duckdb_reads_the_tables_as_they_are(short):
     assert rows == [("gri", 2), ("idm", 2)]
 
 
+@pytest.mark.slow
 def test_one_worker_writes_the_same_bytes_as_two(short):
     assert cosim("batch", "short.yaml", "--workers", 1, "--out", "one", cwd=short).returncode == 0
     assert tables(short / "one") == tables(short / "two")

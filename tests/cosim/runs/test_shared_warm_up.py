@@ -3,6 +3,7 @@
 import dataclasses
 from collections import deque
 
+import pytest
 from msgspec.structs import replace
 
 from cosim.batch.run_matrix import key_of
@@ -13,6 +14,7 @@ from cosim.spec.scenario import ConstantVelocity, Idm
 from cosim.spec.warm_up import warm_up_key
 
 
+@pytest.mark.slow
 def test_every_file_has_the_bytes_of_a_run_alone(short_scenario, tmp_path):
     """Also SUMO's log, which begins with what it said during the warm-up."""
     short = replace(short_scenario, episodes=2, horizon=1.0, watch=0.4)

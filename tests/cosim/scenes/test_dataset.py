@@ -66,6 +66,7 @@ def test_mistakes_are_one_line(scenario: Path, tmp_path: Path):
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
 
 
+@pytest.mark.slow
 def test_a_seed_without_a_scene_says_which_rule_turned_down_how_many(scenario: Path, tmp_path: Path):
     done = run(scenario, tmp_path, "--kind", "car_following", "--count", 1, "--per-seed", 1, "--spacing", 0.1,
                "--workers", 1)  # fmt: skip

@@ -114,6 +114,7 @@ def test_origin_and_width_of_lanes_do_not_matter(merges):
     assert torch.allclose(here, there, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_constants_are_learned_without_labels_from_wrong_ones(merges):
     motion = motion_of(merge_scenes(10, seed=5), WIDTH, DT)
     wrong = TRUE | {"braking": 7.0, "relaxation": 0.4, "follow_noise": 0.3}

@@ -10,6 +10,7 @@ from gri.training.relations.recorded_windows import recorded_windows
 FILE = Path(__file__).parents[5] / "shared" / "ngsim" / "i-80.csv.gz"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not FILE.is_file(), reason="the NGSIM extracts are not here; they may not be redistributed")
 def test_half_of_the_windows_are_recorded_and_the_others_broken():
     windows, known = recorded_windows([FILE], 30)

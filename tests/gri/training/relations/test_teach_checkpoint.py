@@ -43,6 +43,7 @@ def test_reward_and_policy_stay_and_the_file_holds_all(generator: torch.Generato
     assert graph.logits.shape == (5, len(pairs(3)), 2)
 
 
+@pytest.mark.slow
 def test_the_same_seed_teaches_the_same_encoder(generator: torch.Generator):
     model, known = checkpoint.load("us101_car_following"), known_states(generator)
     first, second = (teach_model(model, known, TINY, 1)[0].state_dict() for _ in range(2))
