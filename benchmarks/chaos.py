@@ -126,13 +126,15 @@ class Attempts:
                 return
         raise SystemExit(f"{self.case.name}: exit code {process.returncode}, {said[-500:]}")
 
-    def kill_at_random(self, kills: int, longest: float) -> None:
-        """Kill its processes one after the other until it ends; the last one killed is the command itself."""
+    def kill_at_random(self, kills: int, longest: float) -> bool:
+        """Kill its processes one after the other until it ends; the last one killed is the command itself.
+
+        Returns whether the command was done before.
+        """
         process = self.start()
         for k in range(kills):
             try:
-                process.wait(self.rng.uniform(0.2, longest))
-                return
+                return process.wait(self.rng.uniform(0.2, longest)) == 0
             except subprocess.TimeoutExpired:
                 pass
             victims = [process.pid] if k == kills - 1 else descendants(process.pid) or [process.pid]
@@ -142,6 +144,7 @@ class Attempts:
             except ProcessLookupError:
                 continue
         process.communicate()
+        return process.returncode == 0
 
 
 def descendants(root: int) -> list[int]:
@@ -190,9 +193,9 @@ def flipped_bit(path: Path, rng: random.Random) -> None:
 
 def killed(case: Case, begin: Callable[[str], Attempts], seconds: float, options: argparse.Namespace) -> Attempts:
     attempts = begin("killed")
-    for _ in range(options.restarts):
-        attempts.kill_at_random(max(options.kills // options.restarts, 1), seconds / 2)
-    attempts.finish()
+    each = max(options.kills // options.restarts, 1)
+    if not any(attempts.kill_at_random(each, seconds / each) for _ in range(options.restarts)):
+        attempts.finish()
     return attempts
 
 

@@ -72,7 +72,7 @@ def execute(
         attempts: Counter[str] = Counter()
         reasons: dict[str, list[dict[str, Any]]] = {}
         left = [run for run in runs if run.id not in done | failed]
-        warm_ups = _shared_warm_ups(left)
+        warm_ups = _shared_warm_ups(left, store.scratch)
         queue = deque(_task(run, store, 0, warm_ups) for run in sorted(left, key=lambda run: warm_ups[run.id][0]))
         tell(tally)
         record = partial(_write_record, lambda: store.write_manifest(manifest(batch, runs, store, file)), warn)
@@ -104,13 +104,13 @@ WarmUps = Mapping[str, tuple[int, Preparation | None]]
 """By the id of a run: its place in the queue, the same for all that share a warm-up, and the warm-up."""
 
 
-def _shared_warm_ups(runs: Sequence[Run]) -> WarmUps:
-    """The warm-ups that several runs share; runs alone have none."""
+def _shared_warm_ups(runs: Sequence[Run], scratch: Path) -> WarmUps:
+    """The warm-ups that several runs share, with their files in `scratch`; runs alone have none."""
     keys = [warm_up_key(run.scenario) for run in runs]
     count, place, found = Counter(keys), {key: k for k, key in reversed([*enumerate(keys)])}, {}
     for k, (run, key) in enumerate(zip(runs, keys, strict=True)):
         if key and count[key] > 1:
-            preparation = Preparation(key, "cosim.runs.shared_warm_up:shared_warm_up", (run.scenario,))
+            preparation = Preparation(key, "cosim.runs.shared_warm_up:shared_warm_up", (run.scenario, str(scratch)))
             found[run.id] = place[key], preparation
         else:
             found[run.id] = k, None

@@ -28,7 +28,7 @@ from cosim.runs.share_reading import SHARE_TABLES
 from gri.errors import InputError, guarded_reading
 from gri.storage.claims import claimed_folder
 from gri.storage.verification import DamagedError, check_digest, digest, read_sealed, set_aside, write_sealed
-from gri.storage.whole_files import publish, whole_file
+from gri.storage.whole_files import publish, sweep, whole_file
 
 PARTIAL = ".partial"
 FIX = "run `cosim batch` again, which repairs it"
@@ -94,9 +94,15 @@ class BatchStore:
                 warn(f"{str(error).partition(';')[0]}; this run is done again, its files are in {target}")
 
     def sweep(self) -> None:
-        """Remove the folders of unfinished attempts."""
+        """Remove the folders of unfinished attempts, and what killed processes left."""
+        sweep(self.folder)
         for path in (self.folder / "runs").glob(f"*{PARTIAL}"):
             shutil.rmtree(path, ignore_errors=True)
+
+    @property
+    def scratch(self) -> Path:
+        """Where the processes of the batch put hidden folders that are swept if they are left."""
+        return self.folder.absolute()
 
     def run_folder(self, run: str) -> Path:
         return self.folder / "runs" / run

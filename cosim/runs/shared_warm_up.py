@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from cosim.loop.closed_loop import Outcome, WarmTraffic, run_on
 from cosim.loop.driving import Driver
@@ -19,6 +18,7 @@ from cosim.spec.input_files import find_net, sha256
 from cosim.spec.scenario import Scenario
 from cosim.sumo import sumo_errors
 from cosim.traffic.running_simulation import simulation
+from cosim.traffic.scratch_files import scratch_folder
 from cosim.traffic.simulation_input import SumoFiles, prepare_simulation
 
 
@@ -56,15 +56,16 @@ class SharedWarmUp:
 
 
 @contextmanager
-def shared_warm_up(scenario: Scenario) -> Iterator[SharedWarmUp]:
+def shared_warm_up(scenario: Scenario, within: str = "") -> Iterator[SharedWarmUp]:
     """Run the warm-up of a scenario (the function of a `cosim.process.task.Preparation`).
 
-    All that this process prints from now on is in SUMO's log. The files are removed before the runs begin, so that none
-    is left behind however the process ends; SUMO has them open.
+    All that this process prints from now on is in SUMO's log. The files are removed before the runs begin; SUMO has
+    them open. They are in a folder inside `within`, if this machine has it: the batch sweeps there what a killed
+    process leaves.
     """
     with ExitStack() as stack:
         scratch = stack.enter_context(ExitStack())
-        folder = Path(scratch.enter_context(TemporaryDirectory()))
+        folder = Path(scratch.enter_context(scratch_folder(Path(within) if within and Path(within).is_dir() else None)))
         files = SumoFiles(find_net(scenario.net), folder / "routes.rou.xml", folder / "sumo.log")
         print_to(files.log)
         inputs = prepare_simulation(scenario, files, scenario.time_limit)

@@ -107,12 +107,22 @@ def test_every_attempt_has_a_folder_of_its_own_and_none_is_left(two):
     assert [path.name for path in (two.store.folder / "runs").iterdir()] == [a]
 
 
+def test_what_a_killed_warm_up_left_is_removed(two):
+    left = two.store.scratch / ".scratch-abc.part"
+    left.mkdir(parents=True)
+    (left / "routes.rou.xml").write_text("<routes>")
+    a, b = (run.id for run in two.runs)
+    two.go({a: ["done"], b: ["done"]})
+    assert not left.exists()
+    assert two.store.finished() == {a, b}
+
+
 def test_two_runs_in_the_same_traffic_share_its_warm_up_and_one_alone_has_none(tmp_path: Path):
     (tmp_path / "shared.yaml").write_text(
         TWO_RUNS.replace("{idm: {kind: idm}}", "{idm: {kind: idm}, left: {kind: sumo}}")
     )
     runs = expand(*load_batch(str(tmp_path / "shared.yaml")))
-    found = _shared_warm_ups(runs[:3])
+    found = _shared_warm_ups(runs[:3], Path("scratch"))
     by_seed: dict[int, list] = {}
     for run in runs[:3]:
         by_seed.setdefault(run.scenario.seed, []).append(found[run.id])
