@@ -10,8 +10,9 @@ from torch import Tensor
 from gri import checkpoint
 from gri.bench.merge_classifier import K, frame_features, teach
 from gri.bench.merge_encoder import per_step, teach_encoder
-from gri.bench.merge_scenes import MergeScenes, X, Y
+from gri.bench.merge_scenes import MergeScenes, Y
 from gri.core.edges import LANE_CHANGING
+from gri.data.recorded import with_vehicle_length
 from gri.relations.merge_explanations import ALL_TERMS, CONSTANTS, Terms
 from gri.relations.merge_motion import NOMINAL_LENGTH
 from gri.relations.merge_posterior import learn_constants, relations, scene_graphs
@@ -164,11 +165,7 @@ def as_the_models_see(scenes: MergeScenes) -> Float[Tensor, "S 3 T D"]:
     """States as released models expect them: y from the leader's lane, every vehicle 5 m long, net gaps kept."""
     state = scenes.state.clone()
     state[..., Y] -= scenes.state[:, -1:, :, Y].mean(-1, keepdim=True)
-    order = state[:, :, 0, X].argsort(1)
-    offsets = (NOMINAL_LENGTH - scenes.length.gather(1, order))[:, 1:].cumsum(1)
-    offsets = torch.cat([torch.zeros_like(offsets[:, :1]), offsets], 1)
-    state[..., X] += torch.zeros_like(scenes.length).scatter(1, order, offsets)[..., None]
-    return state
+    return with_vehicle_length(NOMINAL_LENGTH, state, scenes.length)
 
 
 def _without(name: str, terms: Terms) -> Row:

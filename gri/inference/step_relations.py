@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from gri.core.dynamics import DUBINS
-from gri.core.edges import LANE_CHANGING, Vocabulary, pairs
+from gri.core.edges import LANE_CHANGING, Vocabulary, pairs, vehicle_count
 from gri.core.trajectory import Trajectory
 from gri.data.ranges.recorded import RecordedRange
 from gri.data.recorded import in_model_coordinates, kinds_in
@@ -46,8 +46,7 @@ class StepRelations:
     @property
     def pairs(self) -> Sequence[tuple[int, int]]:
         """The ordered pairs (sender, receiver) of the edge axis."""
-        vehicles = round((1 + (1 + 4 * self.probs.shape[2]) ** 0.5) / 2)
-        return pairs(vehicles)
+        return pairs(vehicle_count(self.probs.shape[2]))
 
 
 def by_model(
