@@ -15,6 +15,7 @@ from gri.yaml_content import read_content
 
 T = TypeVar("T")
 LONGEST_MESSAGE = 300  # characters of what is said about one field
+FEW = 12  # names that an error lists
 
 
 def read_yaml(path: Path | str, kind: type[T]) -> T:
@@ -92,8 +93,10 @@ def _explained(message: str, content: Any, kind: Any, path: Path | str, under: S
     if len(problem) > LONGEST_MESSAGE:
         problem = f"{problem[:LONGEST_MESSAGE]}…"
     if unknown:
-        close = difflib.get_close_matches(unknown[1], _field_names(kind), n=1)
-        problem, hint = "unknown field", f"did you mean {close[0]!r}?" if close else "remove or correct it"
+        known = _field_names(kind, content, inside)
+        close = difflib.get_close_matches(unknown[1], known, n=1)
+        fix = f"expected one of {', '.join(known)}" if 0 < len(known) <= FEW else "remove or correct it"
+        problem, hint = "unknown field", f"did you mean {close[0]!r}?" if close else fix
     fields += [found[1] for found in (unknown, missing) if found]
     return str(located(path, fields, f"{problem[:1].lower()}{problem[1:]}; {hint}"))
 
@@ -126,9 +129,31 @@ def _definitions(kind: Any) -> list[dict[str, Any]]:
     return list(msgspec.json.schema(kind).get("$defs", {}).values())
 
 
-def _field_names(kind: Any) -> list[str]:
-    """All field names that a value of that kind may have, at any depth."""
-    return sorted({name for definition in _definitions(kind) for name in definition.get("properties", {})})
+def _field_names(kind: Any, content: Any, fields: Sequence[str]) -> list[str]:
+    """The field names that the mapping at a place of a value of that kind may have."""
+    schema = msgspec.json.schema(kind)
+    here = _schemas(schema, content, schema)
+    for name in fields:
+        content = _value_at(content, [name])
+        inside = [
+            of.get("properties", {}).get(name) or of.get("items") or of.get("additionalProperties") for of in here
+        ]
+        here = [found for of in inside if isinstance(of, dict) for found in _schemas(of, content, schema)]
+    return sorted({name for of in here for name in of.get("properties", {})})
+
+
+def _schemas(schema: dict[str, Any], content: Any, whole: dict[str, Any]) -> list[dict[str, Any]]:
+    """The JSON schemas without references and alternatives that a schema stands for; of tagged ones, that of the tag.
+
+    `content` is what is there, `whole` the schema with all definitions.
+    """
+    if "$ref" in schema:
+        return _schemas(whole["$defs"][schema["$ref"].rpartition("/")[2]], content, whole)
+    if "anyOf" in schema:
+        return [found for of in schema["anyOf"] for found in _schemas(of, content, whole)]
+    given = content if isinstance(content, Mapping) else {}
+    tags = {name: of["enum"] for name, of in schema.get("properties", {}).items() if len(of.get("enum", ())) == 1}
+    return [schema] if all(name not in given or given[name] in tag for name, tag in tags.items()) else []
 
 
 def _line(fields: list[str], path: Path) -> int | None:

@@ -29,6 +29,7 @@ from cosim.commands.show import explain, gui, render, report
 from cosim.commands.stress import stress
 from cosim.commands.traffic import calibrate, traffic
 from gri.errors import SYSTEM_ERRORS, InputError, refused_by_system
+from gri.processes import stop_like_ctrl_c
 from gri.table import Table
 from gri.terminal import (
     FormatOption,
@@ -227,6 +228,7 @@ def main() -> None:
 
     A run or batch that is complete but found fewer episodes than asked for ends with 3.
     """
+    stop_like_ctrl_c()
     try:
         app(standalone_mode=True)
     except InputError as error:

@@ -111,7 +111,8 @@ def stress(
                 "commits": computation.commits,
             }
             facts |= {"starts": starts, "workers": workers}
-            written = publish(parts, rows, computation.effects, folder, facts, decided)
+            fewer = fewer_starts(parts, rows)
+            written = publish(parts, rows, computation.effects, folder, facts, decided, fewer)
             written.append(write_stress_page(folder))
     except KeyboardInterrupt:
         notice(f"stopped; finished parts are kept in {folder}, the same command continues")
@@ -121,7 +122,7 @@ def stress(
     console.print(f"{time.monotonic() - began:.0f} s.", *map(str, written), sep="\n  ", soft_wrap=True)
     say(f"\nReport: {folder / 'stress.md'}; for a browser: {folder / 'stress.html'}")
     next_command(f"python -c \"import pandas; print(pandas.read_parquet('{folder}/estimates.parquet'))\"")
-    if fewer := fewer_starts(parts, rows):
+    if fewer:
         notice(f"warning: {fewer}")
         raise typer.Exit(FEWER_THAN_ASKED)
 

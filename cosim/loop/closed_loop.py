@@ -32,6 +32,7 @@ from cosim.world.episode import Episode
 from cosim.world.group_search import GroupSearch
 from cosim.world.groups import Group, isolated
 from cosim.world.snapshot import Snapshot
+from gri.processes import end_with_parent
 
 
 @dataclass(frozen=True)
@@ -208,7 +209,7 @@ def _replayed(inputs: SimulationInput, steps: int, asked: Round, driver: Driver 
     results: list[BranchResult] = []
 
     def go_on(speeds: SpeedRecord) -> None:
-        with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
+        with ProcessPoolExecutor(1, get_context("spawn"), end_with_parent) as pool:
             results.append(pool.submit(_drive_from_start, inputs, steps, asked, driver, speeds).result())
 
     return Branch(go_on, lambda: results[0])

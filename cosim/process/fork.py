@@ -37,6 +37,8 @@ class Branch(Generic[T]):
 
     pid: int
     pipe: int
+    name: str = "the branched simulation"
+    """What error messages call it."""
 
     def result(self, limit: float = LIMIT) -> T:
         """What the function returned in the copy.
@@ -48,10 +50,10 @@ class Branch(Generic[T]):
         _, status = os.waitpid(self.pid, 0)
         if not answer:
             cause = exit_cause(os.waitstatus_to_exitcode(status))
-            raise BranchError(f"the branched simulation died without an answer ({cause})")
+            raise BranchError(f"{self.name} died without an answer ({cause})")
         failed, value = pickle.loads(answer)
         if failed:
-            raise BranchError(f"the branched simulation failed:\n{value}")
+            raise BranchError(f"{self.name} failed:\n{value}")
         return value
 
     def _answer(self, stream: FileIO, deadline: float, limit: float) -> bytes:
@@ -64,7 +66,7 @@ class Branch(Generic[T]):
             answer += part
         os.kill(self.pid, signal.SIGKILL)
         os.waitpid(self.pid, 0)
-        raise BranchError(f"waited {limit:g} s for the branched simulation (process {self.pid}), then ended it")
+        raise BranchError(f"waited {limit:g} s for {self.name} (process {self.pid}), then ended it")
 
 
 def fork_and_send(function: Callable[[M], T]) -> tuple[Branch[T], Callable[[M], None]]:
@@ -93,13 +95,13 @@ def fork_and_send(function: Callable[[M], T]) -> tuple[Branch[T], Callable[[M], 
     return branch, send
 
 
-def fork(function: Callable[[], T]) -> Branch[T]:
-    """Run the function in a forked copy of this process; its result must be picklable."""
+def fork(function: Callable[[], T], name: str = Branch.name) -> Branch[T]:
+    """Run the function in a forked copy of this process; its result must be picklable. `name` is for messages."""
     read, write = os.pipe()
     pid = plain_fork()
     if pid:
         os.close(write)
-        return Branch(pid, read)
+        return Branch(pid, read, name)
     try:
         os.close(read)
         try:

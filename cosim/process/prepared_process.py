@@ -10,7 +10,7 @@ from typing import Any
 
 from cosim.process.failures import exit_cause
 from cosim.process.fork import BranchError, fork
-from cosim.process.task import Preparation, Task, TaskResult, function_named, perform
+from cosim.process.task import TASK, Preparation, Task, TaskResult, function_named, perform
 
 
 class PreparedProcess:
@@ -73,6 +73,6 @@ def _answer(task: Task, value: Any, pipe: Connection) -> TaskResult:
         return perform(task, prepared=value)
 
     try:
-        return fork(in_copy).result()
+        return fork(in_copy, TASK).result()
     except BranchError as error:
         return TaskResult(task.name, task.folder, "died", str(error))

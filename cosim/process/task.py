@@ -11,6 +11,7 @@ from cosim.process.own_process import cpu_seconds, peak_mb, print_to
 from gri.errors import InputError
 
 LOG = "sumo.log"  # in the folder of a task: what SUMO and everything else print
+TASK = "its process"  # what error messages call the process of a task
 
 
 @dataclass(frozen=True)

@@ -19,7 +19,7 @@ from multiprocessing.process import BaseProcess
 from cosim.process.failures import exit_cause, last_lines
 from cosim.process.fork import CAN_FORK, Branch, BranchError, fork
 from cosim.process.prepared_process import PreparedProcess
-from cosim.process.task import LOG, Task, TaskResult, TaskResults, function_named, perform
+from cosim.process.task import LOG, TASK, Task, TaskResult, TaskResults, function_named, perform
 
 GRACE = 30.0  # [s] that a killed process may take to end
 START_UP = 120.0  # [s] that a worker may take to import everything
@@ -185,7 +185,7 @@ def _serve(pipe: Connection) -> None:
             if answer is None:  # it cannot be prepared
                 prepared.end()
                 prepared = None
-        answer = answer or _answer_of(fork(lambda: _perform_in_copy(task, pipe)), task, pipe)  # noqa: B023
+        answer = answer or _answer_of(fork(lambda: _perform_in_copy(task, pipe), TASK), task, pipe)  # noqa: B023
         if answer is None:
             return
         with suppress(OSError):

@@ -16,6 +16,7 @@ from cosim.process.failures import exit_cause, last_lines
 from cosim.process.own_process import print_to
 from cosim.process.task import function_named
 from gri.errors import SYSTEM_ERRORS, InputError, refused_by_system
+from gri.processes import end_group, end_with_parent
 
 SILENCE = 2 * 3600.0
 """[s] Between two reports of progress: a round of a large stress test takes minutes, on a busy machine an hour."""
@@ -90,11 +91,12 @@ def run_in_worker(
 
 
 def _end(process: BaseProcess) -> None:
-    """End a process: politely, then by force."""
-    process.terminate()
+    """End a process and its copies: politely, then by force."""
+    end_group(process)
     process.join(GRACE)
-    process.kill()  # does nothing to one that has ended
-    process.join(GRACE)
+    if process.is_alive():
+        end_group(process, signal.SIGKILL)
+        process.join(GRACE)
 
 
 @contextmanager
@@ -125,6 +127,8 @@ def _death(exit_code: int | None, log: Path, begun: bool) -> WorkerDeath | Worke
 def _work(target: str, arguments: tuple[Any, ...], options: dict[str, Any], sender: Connection, log: Path) -> None:
     """The process: everything printed goes to the log; the parent handles Ctrl-C."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)  # a forked worker has the handlers of the command
+    end_with_parent(group=True)
     print_to(log)
     try:
         function = function_named(target)

@@ -2,6 +2,7 @@
 
 import multiprocessing
 import platform
+import signal
 import subprocess
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -28,6 +29,7 @@ from cosim.stress.report import stress_report
 from cosim.stress.result_rows import compared_with_sumo
 from cosim.world.outcome_columns import with_outcome_columns
 from gri.errors import InputError, guarded_reading
+from gri.processes import end_group
 from gri.storage.verification import check_digest, digest, read_sealed, write_sealed
 from gri.storage.whole_files import sweep, whole_file, write_whole
 
@@ -128,7 +130,7 @@ def _finish(futures: Sequence[Future[None]]) -> None:
         patience = time.monotonic() + GRACE
         while wait(running, timeout=0.2).not_done:  # repeatedly, because one may be about to start its worker
             for process in multiprocessing.active_children():
-                process.terminate() if time.monotonic() < patience else process.kill()
+                end_group(process, signal.SIGTERM if time.monotonic() < patience else signal.SIGKILL)
         raise
 
 
@@ -139,14 +141,15 @@ def publish(
     folder: Path,
     facts: dict[str, Any],
     decided: str = "",
+    fewer: str = "",
 ) -> list[Path]:
     """Write rows, counts, estimates, differences, effects, figures and report to `folder`; returns the files.
 
     `facts` is written to `stress.json`, together with what is needed to compute the rows again. `decided` is the result
-    of a sequential test.
+    of a sequential test, `fewer` what `fewer_starts` says.
     """
     (folder / FACTS).unlink(missing_ok=True)
-    said = {"decided": decided, "fewer_starts": fewer_starts(chunks, rows)}
+    said = {"decided": decided, "fewer_starts": fewer}
     files = write_results(rows, effects, chunks[0].scenario, folder, *said.values())
     _write_facts(folder, facts | {name: text for name, text in said.items() if text} | provenance(chunks))
     return [*files, folder / FACTS]

@@ -35,6 +35,7 @@ from cosim.studies.traffic_samples import with_headways
 from cosim.studies.traffic_score import traffic_score, with_interactions
 from cosim.studies.traffic_targets import TrafficStatistics, target_checks, traffic_statistics
 from gri.errors import InputError, guarded_reading
+from gri.processes import end_with_parent
 from gri.storage.whole_files import write_whole
 
 MAX_CHANGE = 0.25  # of a parameter, relative to its initial value
@@ -217,7 +218,7 @@ def _simulate(scenario: Scenario, duration: float) -> tuple[TrafficStatistics, p
 @contextmanager
 def _executor(workers: int) -> Iterator[Executor]:
     """Worker processes; a process can hold one simulation only."""
-    executor = ProcessPoolExecutor(workers, mp_context=get_context("spawn"))
+    executor = ProcessPoolExecutor(workers, get_context("spawn"), end_with_parent)
     try:
         yield executor
     finally:

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from gri import resources
-from gri.commands.models import REMAKE, one_thread, trained_with
+from gri.commands.models import one_thread, trained_with
 from gri.errors import InputError, guarded_reading
-from gri.storage.verification import check_own_digest
+from gri.storage.claims import claimed_place
 from gri.terminal import FormatOption, ProgressDisplay, say, show_tables
 
 if TYPE_CHECKING:
@@ -49,18 +49,17 @@ def infer(
     Where the file knows the relations, the answer is scored beside two constants.
     """
     one_thread()
-    check_own_digest(scene_file, REMAKE)
     from gri.inference.relation_tables import scores, shares, write
 
     if model != POSTERIOR and (online or kind is not None):
         raise InputError(f"got {'--online' if online else '--kind'} with {model}, which is for {POSTERIOR} only")
-    with ProgressDisplay() as progress:
+    path = out or Path("runs") / f"relations-{scene_file.stem}.parquet"
+    with claimed_place(path), ProgressDisplay() as progress:
         if model == POSTERIOR:
             results = _by_posterior(scene_file, every_s, online, kind or "merge", split, progress)
         else:
             results = _by_checkpoint(model, scene_file, every_s, split, progress)
-    path = out or Path("runs") / f"relations-{scene_file.stem}.parquet"
-    write(path, results)
+        write(path, results)
     tables = [table for found in results for table in (shares(found), scores(scene_file, found, split)) if table]
     show_tables(tables, table_format)
     say(f"Relations of each step: {path}")

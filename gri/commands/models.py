@@ -10,7 +10,6 @@ import typer
 
 from gri import resources
 from gri.errors import InputError
-from gri.storage.verification import check_own_digest
 from gri.table import Table
 from gri.terminal import FormatOption, ProgressDisplay, next_command, notice, say, show_tables
 
@@ -31,9 +30,6 @@ class Tracker(StrEnum):
 
     CSV = "csv"
     TENSORBOARD = "tensorboard"
-
-
-REMAKE = "make it again with `cosim scenes` or `gri ngsim scenes`"
 
 
 def data(
@@ -183,8 +179,6 @@ def evaluate(
     model, made = checkpoint.load(path), checkpoint.provenance(path)
     config = trained_with(path, made)
     found, remarks = None, []
-    if scene_file is not None:
-        check_own_digest(scene_file, REMAKE)
     if scene_file is None:
         test = _scenes(config, scenes).test
     elif config.data.scene_file_range is not None:
@@ -254,7 +248,7 @@ def _recorded(config: "TrainConfig", source: Path, folder: Path) -> "Splits":
     if config.data.recorded is None:
         raise InputError(f"got --ngsim, but {config.name} learns from synthetic scenes; leave it out")
     with ProgressDisplay() as progress:
-        file = scene_file(check_own_digest(source, REMAKE), folder, progress)
+        file = scene_file(source, folder, progress)
     return recorded_splits(config.data.recorded, [file])
 
 

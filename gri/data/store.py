@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -29,6 +30,7 @@ from gri.data.synthetic.optimal_followers import (
 )
 from gri.errors import InputError
 from gri.progress import Progress, no_progress
+from gri.storage.claims import claimed_place
 from gri.storage.verification import check_own_digest, digest_file, write_digest
 from gri.storage.whole_files import whole_file
 
@@ -197,12 +199,16 @@ def _scenes_of_expert(drivers: IdmExpert | OptimalExpert, config: DataConfig, sc
 def write_scenes(path: Path, scenes: Scenes) -> None:
     """Write scenes to an .npz file with the arrays `state`, `action`, `graph` and, if they have one, `history`.
 
-    The file is complete or it does not exist; its hash is written beside it.
+    The file is complete or it does not exist; its hash is written beside it. What a killed command left of it is
+    removed, unless another command is writing the same file.
     """
-    digest_file(path).unlink(missing_ok=True)
-    with whole_file(path) as part, part.open("wb") as file:
-        np.savez(file, **{name: array.numpy() for name, array in vars(scenes).items() if array is not None})
-    write_digest(path)
+    with ExitStack() as claim:
+        with suppress(InputError):  # two commands may write the same scenes at once: both files are whole and alike
+            claim.enter_context(claimed_place(path))
+        digest_file(path).unlink(missing_ok=True)
+        with whole_file(path) as part, part.open("wb") as file:
+            np.savez(file, **{name: array.numpy() for name, array in vars(scenes).items() if array is not None})
+        write_digest(path)
 
 
 def read_scenes(path: Path) -> Scenes:

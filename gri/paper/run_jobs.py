@@ -16,6 +16,7 @@ from gri.data.store import Splits, scenes_of
 from gri.errors import InputError
 from gri.paper import recorded_car_following, recorded_lane_changes, synthetic_measurements
 from gri.paper.job_cache import Job, write_json
+from gri.processes import end_with_parent
 from gri.storage.verification import set_aside
 from gri.terminal import notice
 from gri.training.train import train
@@ -89,7 +90,7 @@ def _prepare(
 def run_in_processes(jobs: Sequence[Job], processes: int, cache: Path, scenes_folder: Path) -> Iterator[Job]:
     """Yield each job when it is done. Every job has a new process. Ctrl-C ends the processes; finished jobs stay."""
     context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(processes, context, max_tasks_per_child=1)
+    pool = ProcessPoolExecutor(processes, context, end_with_parent, max_tasks_per_child=1)
     running: dict[Future[str], Job] = {}
     waiting = list(jobs)
     try:

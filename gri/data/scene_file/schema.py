@@ -24,6 +24,7 @@ from gri.storage.verification import check_own_digest
 
 FORMAT, VERSION = "gri-scenes", 1
 KEY = b"gri.scenes"
+REMAKE = "make it again with `cosim scenes` or `gri ngsim scenes`"
 FEATURES = ("x", "y", "vx", "vy", "ax", "ay", "v", "a", "heading", "yaw_rate")
 """State columns in SI units, for all dynamics together. Columns that a source does not have are null."""
 ROWS = 300_000
@@ -241,8 +242,8 @@ def names_of(edges: Mapping[tuple[int, int], EdgeType], n: int = 3) -> np.ndarra
 
 def opened(path: Path) -> pq.ParquetFile:
     """An opened Parquet file. Errors: `InputError` if it is not readable as Parquet, or has not the hash beside it."""
-    with guarded_reading(path, "scene file", "make it again"):
-        file = pq.ParquetFile(check_own_digest(path, "make it again"))
+    with guarded_reading(path, "scene file", REMAKE):
+        file = pq.ParquetFile(check_own_digest(path, REMAKE))
         rows, size = file.metadata.num_rows, path.stat().st_size
         if rows > MOST_ROWS or rows > ROWS_PER_BYTE * size + ROWS:
             raise InputError(f"{path}: claims {rows:,} rows in {size:,} bytes; make the file again, or split it")
@@ -256,7 +257,7 @@ def read_header(file: pq.ParquetFile, path: Path) -> Header:
         raise InputError(
             f"{path}: a Parquet file, but not a scene file; give one of `gri ngsim scenes` or `cosim scenes`"
         )
-    with guarded_reading(path, "scene file", "make it again"):
+    with guarded_reading(path, "scene file", REMAKE):
         header = msgspec.json.decode(text, type=Header)
     if (header.format, header.version) != (FORMAT, VERSION):
         raise InputError(

@@ -66,6 +66,8 @@ def test_the_traffic_can_be_the_name_of_a_traffic_file() -> None:
     ("setting", "words"),
     [
         ("group.max_gp=20", r"^--set: field group.max_gp: unknown field; did you mean 'max_gap'\?"),
+        ("perturbations=[{kind: leader_braking, deceleration: 3}]", r"\[0\].deceleration: .*; expected one of inten"),
+        ("policy={kind: idm, headway: 1}", r"policy.headway: unknown field; expected one of kind, sees$"),
         ("horizon=-1", r"^--set: field horizon: expected .*, got -1; give a value in this range"),
         ("horizon=.inf", r"^--set"),
         ("max_work=x", r"^--set: field max_work"),

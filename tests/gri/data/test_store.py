@@ -1,3 +1,4 @@
+import os
 from pathlib import Path
 
 import msgspec
@@ -7,6 +8,7 @@ import torch
 from gri.core.scenes import Scenes
 from gri.data.store import DataConfig, read_scenes, scenes_of, scenes_path, write_scenes
 from gri.errors import InputError
+from gri.storage.claims import claimed_place
 from gri.storage.verification import DamagedError, digest_file
 
 SMALL = DataConfig(range="paper", graphs="mixed", train=8, validation=3, test=2, expert_updates=2)
@@ -55,6 +57,19 @@ def test_no_flipped_bit_of_cached_scenes_is_used(tmp_path: Path):
             read_scenes(path)
     path.write_bytes(whole)
     assert torch.equal(read_scenes(path).state, state)
+
+
+def test_what_a_killed_command_left_is_removed(tmp_path: Path):
+    """But nothing that a command which still runs is writing."""
+    path, none = tmp_path / "scenes.npz", torch.zeros(2, 6, dtype=torch.int64)
+    scenes = Scenes(torch.zeros(2, 3, 4, 3), torch.zeros(2, 3, 3, 1), none)
+    left = tmp_path / ".scenes.npz.4711-abcdef.part"
+    with claimed_place(path):
+        left.touch()
+        write_scenes(path, scenes)
+    assert left.exists()
+    write_scenes(path, scenes)
+    assert sorted(os.listdir(tmp_path)) == ["scenes.npz", "scenes.npz.sha256"]
 
 
 def test_histories_are_kept(tmp_path: Path):
