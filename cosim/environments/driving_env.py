@@ -8,6 +8,7 @@ import gymnasium
 import numpy as np
 
 from cosim.environments.actions import ActionKind
+from cosim.environments.observation import ObservationKind
 from cosim.environments.task import Episode, Starts, task_of
 from cosim.spec.scenario import Scenario
 from gri.errors import InputError
@@ -23,6 +24,7 @@ class DrivingEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         scenario: name of a shipped scenario, path of a YAML file, or a `Scenario`. Its policy does not count.
         role: the vehicle that the learner drives: 0 is the merging vehicle, or the last follower.
         action: "targets" or "dynamics" (`cosim.environments.actions`).
+        sees: "group", or "everybody" near (`cosim.environments.observation`).
         reward: weights by term (`cosim.environments.rewards`); by default those of the group rule.
         overrides: top-level fields of the scenario to replace, such as `{"episodes": 100, "watch": 2.0}`. `episodes`
             is the number of starts.
@@ -39,15 +41,16 @@ class DrivingEnv(gymnasium.Env[np.ndarray, np.ndarray]):
         *,
         role: int = 0,
         action: ActionKind = "targets",
+        sees: ObservationKind = "group",
         reward: Mapping[str, float] | None = None,
         overrides: Mapping[str, Any] | None = None,
         render_mode: None = None,
     ) -> None:
-        self._task = task_of(scenario, roles=(role,), action=action, reward=reward, overrides=overrides)
+        self._task = task_of(scenario, roles=(role,), action=action, sees=sees, reward=reward, overrides=overrides)
         self._role, self.render_mode = role, render_mode
         self.observation_space = self._task.observation_space(role)
         self.action_space = self._task.action_space()
-        self._starts = Starts(self._task.scenario)
+        self._starts = Starts(self._task)
         self._episode: Episode | None = None
 
     def reset(

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
 from jaxtyping import Float
 
 from cosim.environments.protocol import (
@@ -31,6 +32,7 @@ from cosim.process.failures import last_lines
 from cosim.process.fork import CAN_FORK
 from cosim.spec.scenario import Scenario
 from cosim.world.groups import Group
+from gri.core.nearby import Nearby
 from gri.errors import InputError
 
 _PROGRAM = """
@@ -47,13 +49,14 @@ States = Float[np.ndarray, "V 3 D"]
 class Drive:
     """One episode that is being driven: `states` are the present ones, one row per view of the group.
 
-    `facts` are None until the episode has ended; then they are its outcome.
+    `nearby` are the vehicles around it, None for learners that do not see them. `facts` are None until the episode has
+    ended; then they are its outcome.
     """
 
     def __init__(self, link: Connection) -> None:
         self._link = link
         self.facts: Mapping[str, Any] | None = None
-        self.states: States = self._answer()
+        self.states, self.nearby = self._answer()
 
     def send(self, action: Float[np.ndarray, "3 A"]) -> None:
         """Let every vehicle of the group take its action [SI units] for one step; `receive` waits for its end."""
@@ -61,7 +64,7 @@ class Drive:
 
     def receive(self) -> None:
         """Wait for the end of a step."""
-        self.states = self._answer()
+        self.states, self.nearby = self._answer()
 
     def branch(self) -> "Drive":
         """A copy of this episode that continues from the present instant on its own."""
@@ -71,7 +74,7 @@ class Drive:
         """End the process of the episode."""
         self._link.close()
 
-    def _answer(self) -> States:
+    def _answer(self) -> tuple[States, Nearby | None]:
         try:
             kind, value = self._link.recv()
         except (EOFError, ConnectionResetError):
@@ -80,7 +83,13 @@ class Drive:
             raise RuntimeError(f"the episode failed:\n{value}")
         if kind == END:
             value, self.facts = value
-        return value
+        states, nearby = value
+        return states, None if nearby is None else _nearby(nearby)
+
+
+def _nearby(found: Mapping[str, np.ndarray | None]) -> Nearby:
+    values = {name: None if value is None else torch.from_numpy(value) for name, value in found.items()}
+    return Nearby(**values)  # pyright: ignore[reportArgumentType]
 
 
 def _fork_of(link: Connection) -> Drive:
@@ -110,7 +119,7 @@ class Traffic:
     The processes end with `close`, and when this process ends.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, sees_nearby: bool) -> None:
         if not CAN_FORK:
             raise InputError("environments fork warmed-up traffic, which this system cannot; use Linux or macOS")
         self._scenario = scenario
@@ -123,7 +132,7 @@ class Traffic:
         )
         theirs.close()
         self._link.send(sys.path)
-        self._link.send((scenario, self._log))
+        self._link.send((scenario, sees_nearby, self._log))
 
     @cached_property
     def starts(self) -> tuple[Start, ...]:

@@ -17,10 +17,11 @@ from jaxtyping import Float
 from torch import Tensor
 
 from cosim.environments.actions import ActionKind, action_of, check_kind
-from cosim.environments.observation import features_of, observe
+from cosim.environments.observation import ObservationKind, check_seen, names_of, observe
 from cosim.world.road_frame import NOMINAL_LENGTH
 from gri.core.dynamics import POINT_MASS_1D, Dynamics, dynamics_named
 from gri.core.merging_policy import MergingDriver
+from gri.core.nearby import Nearby
 from gri.core.policy import IntelligentDriver, Policy, PolicyState
 from gri.core.trajectory import Trajectory
 from gri.errors import InputError
@@ -43,8 +44,14 @@ class LearnedPolicy:
     dynamics: Dynamics
     role: int = 0
     action: ActionKind = "targets"
+    sees: ObservationKind = "group"
     name: str = "learned"
     history_steps: int = 1
+
+    @property
+    def sees_nearby(self) -> bool:
+        """Whether it looks at more than its group."""
+        return self.sees == "everybody"
 
     @property
     def others(self) -> Policy:
@@ -56,10 +63,12 @@ class LearnedPolicy:
         """Nothing to infer."""
         return PolicyState.empty(history)
 
-    def act(self, memory: PolicyState, state: Float[Tensor, "B 3 D"]) -> tuple[Float[Tensor, "B 3 A"], PolicyState]:
+    def act(
+        self, memory: PolicyState, state: Float[Tensor, "B 3 D"], nearby: Nearby | None = None
+    ) -> tuple[Float[Tensor, "B 3 A"], PolicyState]:
         actions, _ = self.others.act(memory, state)
         states = state.numpy()
-        given = self.predict(observe(states, self.role, self.dynamics))
+        given = self.predict(observe(states, self.role, self.dynamics, nearby if self.sees_nearby else None))
         own = action_of(given, states[:, self.role].astype(float), self.action, self.dynamics, self.dt)
         actions[:, self.role] = torch.from_numpy(own.astype(np.float32))
         return actions, memory
@@ -73,6 +82,7 @@ def save_network(
     dt: float,
     role: int = 0,
     action: ActionKind = "targets",
+    sees: ObservationKind = "group",
     name: str = "learned",
 ) -> None:
     """Write a network of linear layers with tanh between them: weights of shape (out, in), and biases.
@@ -84,10 +94,13 @@ def save_network(
         dt: the step [s] of the environment in which it was trained.
         role: the vehicle that it drives.
         action: the kind of its actions.
+        sees: the kind of its observations.
         name: of the policy, in tables.
     """
     check_kind(action)
-    about = {"format": _FORMAT, "dynamics": dynamics, "dt": dt, "role": role, "action": action, "name": name}
+    check_seen(sees)
+    about = {"format": _FORMAT, "dynamics": dynamics, "dt": dt, "role": role, "action": action, "sees": sees}
+    about["name"] = name
     arrays = {"about": np.array(json.dumps(about))}
     for k, (weight, bias) in enumerate(layers):
         arrays |= {f"w{k}": weight, f"b{k}": bias}
@@ -105,7 +118,9 @@ def network_policy(dt: float, file: str) -> LearnedPolicy:
             ]
         dynamics = dynamics_named(about["dynamics"])
         sizes = [layers[0][0].shape[1], *(weight.shape[0] for weight, _ in layers)]
-        wanted = len(features_of(about["role"], dynamics)), len(dynamics.action)
+        sees = about.get("sees", "group")  # files of version 0.1 do not say it
+        check_seen(sees)
+        wanted = len(names_of(about["role"], dynamics, sees)), len(dynamics.action)
     except FileNotFoundError:
         raise InputError(f"settings.file: no file {file!r} (looked in {Path.cwd()}); give the path of one") from None
     except Exception as error:  # whatever a file of another kind leads to
@@ -126,4 +141,4 @@ def network_policy(dt: float, file: str) -> LearnedPolicy:
             value = np.tanh(value) if k < len(layers) - 1 else value
         return value
 
-    return LearnedPolicy(predict, dt, dynamics, about["role"], about["action"], about["name"])
+    return LearnedPolicy(predict, dt, dynamics, about["role"], about["action"], sees, about["name"])

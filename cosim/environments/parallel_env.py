@@ -10,6 +10,7 @@ from gymnasium.utils import seeding
 from pettingzoo import ParallelEnv
 
 from cosim.environments.actions import ActionKind
+from cosim.environments.observation import ObservationKind
 from cosim.environments.task import Episode, Starts, task_of
 from cosim.spec.scenario import Scenario
 from gri.errors import InputError
@@ -31,11 +32,12 @@ class GroupEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         *,
         roles: tuple[int, ...] = (0, 1),
         action: ActionKind = "targets",
+        sees: ObservationKind = "group",
         reward: Mapping[str, float] | None = None,
         overrides: Mapping[str, Any] | None = None,
         render_mode: None = None,
     ) -> None:
-        self._task = task_of(scenario, roles=roles, action=action, reward=reward, overrides=overrides)
+        self._task = task_of(scenario, roles=roles, action=action, sees=sees, reward=reward, overrides=overrides)
         self._names = {role: f"vehicle_{role}" for role in roles}
         self.possible_agents = [*self._names.values()]
         self.agents: list[str] = []
@@ -43,7 +45,7 @@ class GroupEnv(ParallelEnv[str, np.ndarray, np.ndarray]):
         self.action_spaces = {name: self._task.action_space() for name in self.possible_agents}
         self.render_mode = render_mode
         self._random: np.random.Generator | None = None
-        self._starts = Starts(self._task.scenario)
+        self._starts = Starts(self._task)
         self._episode: Episode | None = None
 
     def observation_space(self, agent: str) -> Space[np.ndarray]:

@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from cosim.environments.actions import ActionKind, action_of, check_kind
 from cosim.environments.episodes import Drive, Start, Traffic
-from cosim.environments.observation import LARGEST, features_of, observe
+from cosim.environments.observation import LARGEST, ObservationKind, check_seen, names_of, observe
 from cosim.environments.rewards import Reward, reward_of
 from cosim.spec.loading import load_scenario, override
 from cosim.spec.scenario import Merge, Scenario
@@ -34,6 +34,7 @@ class Task:
     scenario: Scenario
     roles: tuple[int, ...]
     action: ActionKind
+    sees: ObservationKind
     weights: Weights | None
 
     @property
@@ -48,7 +49,7 @@ class Task:
 
     def observation_space(self, role: int) -> Box:
         """The space of what a role observes."""
-        return Box(-LARGEST, LARGEST, (len(features_of(role, self.dynamics)),), np.float32)
+        return Box(-LARGEST, LARGEST, (len(names_of(role, self.dynamics, self.sees)),), np.float32)
 
     def action_space(self) -> Box:
         """The space of actions, the same for all roles."""
@@ -64,18 +65,21 @@ def task_of(
     *,
     roles: tuple[int, ...],
     action: ActionKind,
+    sees: ObservationKind,
     reward: Weights | None,
     overrides: Mapping[str, Any] | None,
 ) -> Task:
     """The task of a scenario, by name, path or value; its policy does not count.
 
-    Raises `InputError` for a scenario, an override, an action or a reward term that does not exist.
+    Raises `InputError` for a scenario, an override, a kind of action or observation, or a reward term that does not
+    exist.
     """
     chosen = scenario if isinstance(scenario, Scenario) else load_scenario(scenario)
     changes = {"surroundings": False, **(overrides or {})}
     chosen = override(chosen, {**changes, "policy": {"kind": "constant_velocity"}, "driven": list(roles)})
     check_kind(action)
-    task = Task(chosen, roles, action, None if reward is None else dict(reward))
+    check_seen(sees)
+    task = Task(chosen, roles, action, sees, None if reward is None else dict(reward))
     task.rewards()  # a term that does not exist is told before anything runs
     return task
 
@@ -103,8 +107,14 @@ class Episode:
     @property
     def observations(self) -> dict[int, np.ndarray]:
         """What every role observes at present."""
-        views = self._states_by_role()
-        return {role: observe(views[role], role, self._task.dynamics) for role in self._task.roles}
+        task, drive = self._task, self._drive
+        if task.sees == "group":
+            seen = [observe(state, role, task.dynamics) for role, state in self._states_by_role().items()]
+        else:
+            seen = [
+                observe(drive.states, role, task.dynamics, drive.nearby)[view] for role, view in self._views().items()
+            ]
+        return dict(zip(task.roles, seen, strict=True))
 
     def step(self, given: Mapping[int, Float[np.ndarray, " A"]]) -> Step:
         """Let every role take its action for one step."""
@@ -147,9 +157,12 @@ class Episode:
         self._drive.close()
 
     def _states_by_role(self) -> dict[int, np.ndarray]:
-        """The states as each role observes them: there is one view for all, or one for each that drives."""
-        states = self._drive.states
-        return {role: states[min(k, len(states) - 1)] for k, role in enumerate(self._task.roles)}
+        """The states as each role observes them."""
+        return {role: self._drive.states[view] for role, view in self._views().items()}
+
+    def _views(self) -> dict[int, int]:
+        """The view of each role: there is one for all, or one for each that drives."""
+        return {role: min(k, len(self._drive.states) - 1) for k, role in enumerate(self._task.roles)}
 
 
 class Starts:
@@ -158,8 +171,8 @@ class Starts:
     The first draw warms the traffic up.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
-        self._scenario = scenario
+    def __init__(self, task: Task) -> None:
+        self._task = task
         self._traffic: Traffic | None = None
         self._order: list[int] = []
         self._is_copy = False
@@ -170,7 +183,7 @@ class Starts:
         Also what `reset` tells of it: its number and of how many, the ids of the group, and the time [s].
         """
         if self._traffic is None:
-            self._traffic = Traffic(self._scenario)
+            self._traffic = Traffic(self._task.scenario, sees_nearby=self._task.sees == "everybody")
         starts, number = self._traffic.starts, (options or {}).get("start")
         if number is None:
             self._order = self._order or random.permutation(len(starts)).tolist()

@@ -11,17 +11,17 @@ import pickle
 import signal
 import tempfile
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from multiprocessing.connection import Connection, Pipe
 from multiprocessing.reduction import send_handle
 from pathlib import Path
 
-import numpy as np
 import torch
 
-from cosim.environments.protocol import DONE, END, FAILED, LEFT_TO_SUMO, START, WRONG_INPUT
+from cosim.environments.protocol import DONE, END, FAILED, LEFT_TO_SUMO, START, WRONG_INPUT, Seen, seen_of
 from cosim.environments.waiting_policy import WaitingPolicy
 from cosim.loop.driving import Driver, drive, start_round
 from cosim.loop.intervention import Intervention, NoIntervention
@@ -56,9 +56,9 @@ def serve(link: Connection) -> None:
     torch.set_num_threads(1)  # the models are tiny: more threads are slower
     with suppress(EOFError, BrokenPipeError, ConnectionResetError):  # the other side is gone
         try:
-            scenario, log = link.recv()
+            scenario, sees_nearby, log = link.recv()
             print_to(log)
-            _find_starts(link, scenario, log)
+            _find_starts(link, scenario, sees_nearby, log)
         except InputError as error:
             link.send((WRONG_INPUT, str(error)))
         except SumoError as error:
@@ -67,8 +67,11 @@ def serve(link: Connection) -> None:
             link.send((FAILED, traceback.format_exc()))
 
 
-def _find_starts(link: Connection, scenario: Scenario, log: Path) -> None:
-    """Go through the rounds of a run (`cosim.loop.closed_loop.run`), with one start per group."""
+def _find_starts(link: Connection, scenario: Scenario, sees_nearby: bool, log: Path) -> None:
+    """Go through the rounds of a run (`cosim.loop.closed_loop.run`), with one start per group.
+
+    Learners that see who is nearby are told of it in every step.
+    """
     with tempfile.TemporaryDirectory() as scratch:
         inputs = prepare_simulation(
             scenario, SumoFiles(find_net(scenario.net), Path(scratch, "routes.rou.xml"), log), scenario.time_limit
@@ -89,7 +92,13 @@ def _find_starts(link: Connection, scenario: Scenario, log: Path) -> None:
                     continue
                 found += len(planned)
                 for plan in planned:
-                    _begin(link, running, history, plan, scenario.policy_period or scenario.step)
+                    policy = partial(
+                        WaitingPolicy,
+                        dynamics=POINT_MASS_1D if isinstance(scenario.group, CarFollowing) else DUBINS,
+                        dt=scenario.policy_period or scenario.step,
+                        sees_nearby=sees_nearby,
+                    )
+                    _begin(link, running, history, plan, policy)
                 together = tuple(plan.round.groups[0] for plan in planned)
                 left = trunk.leave_to_sumo(history, replace(this_round, groups=together))
                 link.send((LEFT_TO_SUMO, pickle.dumps(left)))
@@ -103,14 +112,18 @@ def _end_if_alone(link: Connection) -> None:
 
 
 def _begin(
-    link: Connection, running: RunningSimulation, history: Sequence[Snapshot], plan: Planned, period: float
+    link: Connection,
+    running: RunningSimulation,
+    history: Sequence[Snapshot],
+    plan: Planned,
+    policy: Callable[[Connection], WaitingPolicy],
 ) -> None:
-    """Fork a start, and give the other side its connection."""
+    """Fork a start, whose `policy` waits at its link, and give the other side its connection."""
     ours, theirs = Pipe()
     if not plain_fork():
         link.close()
         theirs.close()
-        _serve_start(ours, running, history, plan, period)
+        _serve_start(policy(ours), running, history, plan)
     ours.close()
     width = None if plan.round.lanes is None else plan.round.lanes.target.width
     link.send((START, (plan.round.groups[0], width)))
@@ -118,15 +131,8 @@ def _begin(
     theirs.close()
 
 
-def _serve_start(
-    link: Connection, running: RunningSimulation, history: Sequence[Snapshot], plan: Planned, period: float
-) -> None:
-    """The process of a start, and of every episode that is forked from it; it never returns.
-
-    The learner acts every `period` [s].
-    """
-    dynamics = POINT_MASS_1D if isinstance(plan.round.rule, CarFollowing) else DUBINS
-    policy = WaitingPolicy(link, dynamics, period)
+def _serve_start(policy: WaitingPolicy, running: RunningSimulation, history: Sequence[Snapshot], plan: Planned) -> None:
+    """The process of a start, and of every episode that is forked from it; it never returns."""
     try:
         with suppress(EOFError, BrokenPipeError, ConnectionResetError):  # the other side is gone
             try:
@@ -142,15 +148,16 @@ def _serve_start(
 
 def _drive(
     policy: WaitingPolicy, running: RunningSimulation, history: Sequence[Snapshot], plan: Planned
-) -> tuple[np.ndarray, dict[str, object]]:
-    """Drive the episode: the states in which it ended, and its outcome beside that of its counterpart."""
+) -> tuple[Seen, dict[str, object]]:
+    """Drive the episode: what is seen where it ended, and its outcome beside that of its counterpart."""
     counterparts, speeds = pickle.loads(policy.link.recv())
     start = start_round(running.frame, history, plan, Driver("environment", policy))  # returns in an episode only
     start = replace(start, intervention=plan.repeating(speeds, start.now))
     (episode,) = drive(running.world, running.frame, start)
     assert isinstance(start.control, PolicyControl)
     counterpart = next(one for one in counterparts if one.group == episode.group)
-    return start.control.runner.states_for_policy().numpy(), _facts(compared(episode, counterpart))
+    runner = start.control.runner
+    return seen_of(runner.states_for_policy(), runner.nearby_for_policy()), _facts(compared(episode, counterpart))
 
 
 def _facts(episode: Episode) -> dict[str, object]:

@@ -8,6 +8,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from cosim.environments.actions import ActionKind
+from cosim.environments.observation import ObservationKind
 from cosim.environments.task import Episode, Starts, task_of
 from cosim.spec.scenario import Scenario
 from gri.errors import InputError
@@ -30,17 +31,18 @@ class DrivingVectorEnv(VectorEnv[np.ndarray, np.ndarray, np.ndarray]):
         *,
         role: int = 0,
         action: ActionKind = "targets",
+        sees: ObservationKind = "group",
         reward: Mapping[str, float] | None = None,
         overrides: Mapping[str, Any] | None = None,
         render_mode: None = None,
     ) -> None:
-        self._task = task_of(scenario, roles=(role,), action=action, reward=reward, overrides=overrides)
+        self._task = task_of(scenario, roles=(role,), action=action, sees=sees, reward=reward, overrides=overrides)
         self._role, self.num_envs, self.render_mode = role, num_envs, render_mode
         self.single_observation_space = self._task.observation_space(role)
         self.single_action_space = self._task.action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._starts = Starts(self._task.scenario)
+        self._starts = Starts(self._task)
         self._episodes: list[Episode] = []
 
     def reset(

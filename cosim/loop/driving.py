@@ -14,8 +14,9 @@ import torch
 from cosim.loop.graph_source import graph_from_source, keep_where_unknown, on_same_pairs, smoothed, with_edges
 from cosim.loop.guard import guard_of
 from cosim.loop.intervention import Intervention, NoIntervention
+from cosim.loop.nearby_vehicles import Around
 from cosim.loop.observation import GroupObservation
-from cosim.loop.policy_runner import Around, PolicyRunner
+from cosim.loop.policy_runner import PolicyRunner
 from cosim.loop.returning_vehicles import ReturningVehicles
 from cosim.loop.round_recorder import Round, RoundRecorder, hard_braking
 from cosim.loop.state_layouts import layout_of
@@ -118,8 +119,11 @@ def start_round(
 
 
 def _around(intervention: Intervention | NoIntervention, now: Snapshot) -> Around:
-    """The vehicles near the round, and the members of its groups."""
-    return now, [intervention.members(g, now) for g in range(len(intervention.round.groups))]
+    """The vehicles near the round, the members of its groups, and where the lane of a merge ends."""
+    this_round, lanes = intervention.round, intervention.round.lanes
+    members = [intervention.members(g, now) for g in range(len(this_round.groups))]
+    end = lanes.source.end if lanes is not None and lanes.ends else None
+    return Around(now, members, end, lanes.side if lanes is not None else 1)
 
 
 def _graph_to_use(

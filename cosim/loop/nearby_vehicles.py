@@ -1,6 +1,7 @@
 """The vehicles around the groups of a round, as a policy gets them that looks at more than its own group."""
 
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -12,12 +13,26 @@ from gri.core.nearby import Nearby
 REACH = 100.0  # [m] along the road, from any vehicle of a group
 
 
-def nearby_vehicles(now: Snapshot, members: Sequence[Collection[str]], pose: Pose) -> Nearby:
-    """Who is near each group, of all vehicles of a snapshot that are not its `members`.
+@dataclass(frozen=True)
+class Around:
+    """All vehicles near a round, and the ids of the members of each of its groups.
+
+    In a merge the lane of vehicle 0 ends at s = `lane_end` [m], and `side` is −1 where the target lane is on the right.
+    """
+
+    now: Snapshot
+    members: Sequence[Collection[str]]
+    lane_end: float | None = None
+    side: int = 1
+
+
+def nearby_vehicles(around: Around, pose: Pose) -> Nearby:
+    """Who is near each group, of all vehicles that are not its members.
 
     `pose` are the places of the group's vehicles. Vehicles of other groups are among those around a group.
     """
-    rows = [_rows(now, of, s) for of, s in zip(members, pose.s, strict=True)]
+    now = around.now
+    rows = [_rows(now, of, s) for of, s in zip(around.members, pose.s, strict=True)]
     most = max((len(of) for of in rows), default=0)
     padded = np.array([[*of, *[-1] * (most - len(of))] for of in rows], dtype=int).reshape(len(rows), most)
     present, at = padded >= 0, np.maximum(padded, 0)
@@ -30,11 +45,12 @@ def nearby_vehicles(now: Snapshot, members: Sequence[Collection[str]], pose: Pos
 
     return Nearby(
         ahead=tensor(of(now.s)[:, None] - pose.s[..., None]),
-        across=tensor(of(now.d)[:, None] - pose.d[..., None]),
+        across=tensor(around.side * (of(now.d)[:, None] - pose.d[..., None])),
         v=tensor(of(now.v)),
         length=tensor(of(now.length)),
         width=tensor(of(now.width)),
         present=torch.from_numpy(present),
+        lane_left=None if around.lane_end is None else tensor(around.lane_end - pose.s),
     )
 
 

@@ -1,7 +1,7 @@
 """Runs a policy for all groups of a round: observed states in, one model call, commanded poses out."""
 
 from collections import deque
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from cosim.loop.guard import Guard
-from cosim.loop.nearby_vehicles import nearby_vehicles
+from cosim.loop.nearby_vehicles import Around, nearby_vehicles
 from cosim.loop.observation import GroupObservation
 from cosim.loop.own_policy import PolicyFailure
 from cosim.loop.state_layouts import Layout
@@ -19,13 +19,12 @@ from cosim.perturb.sensing_and_control import SensingAndControl
 from cosim.world.episode import COLUMNS, FilterUse
 from cosim.world.snapshot import Snapshot
 from gri.core.graph import InteractionGraph
+from gri.core.nearby import Nearby
 from gri.core.policy import Policy, PolicyState
 from gri.core.trajectory import Trajectory
 
 _A = COLUMNS.index("a")
 LARGEST = 1e6  # of any action in SI units, far beyond what a vehicle can do
-Around = tuple[Snapshot, Sequence[Collection[str]]]
-"""All vehicles near the round, and the ids of the members of each group."""
 GraphOverride = Callable[[InteractionGraph, InteractionGraph | None], InteractionGraph]
 
 
@@ -157,13 +156,18 @@ class PolicyRunner:
 
     def _act(self, state: Float[Tensor, "V N D"]) -> tuple[Float[Tensor, "V N A"], PolicyState]:
         """The policy's answer; one that looks at more than its groups is told who is near."""
-        if self._around is None or not self.sees_nearby:
+        nearby = self.nearby_for_policy()
+        if nearby is None:
             return self._policy.act(self._memory, state)
-        nearby = nearby_vehicles(*self._around, self._layout.pose(self._state))
-        if self._channels.views > 1:
-            nearby = nearby.repeated(self._channels.views)
         act: Callable[..., tuple[Tensor, PolicyState]] = self._policy.act
         return act(self._memory, state, nearby)
+
+    def nearby_for_policy(self) -> Nearby | None:
+        """Who is around the groups now, in each view; None for a policy that does not look at them."""
+        if self._around is None or not self.sees_nearby:
+            return None
+        nearby = nearby_vehicles(self._around, self._layout.pose(self._state))
+        return nearby if self._channels.views == 1 else nearby.repeated(self._channels.views)
 
     def _usable(self, action: Float[Tensor, "G N A"]) -> Float[Tensor, "G N A"]:
         """The action with 0 for what no vehicle can do; a group with such an action of a driven vehicle has failed."""

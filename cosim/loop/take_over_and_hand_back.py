@@ -12,8 +12,9 @@ from typing import ClassVar
 import numpy as np
 
 from cosim.loop import shadow_vehicles
+from cosim.loop.nearby_vehicles import Around
 from cosim.loop.observation import GroupObservation
-from cosim.loop.policy_runner import Around, PolicyRunner
+from cosim.loop.policy_runner import PolicyRunner
 from cosim.loop.returning_vehicles import ReturningVehicles, stop_of
 from cosim.loop.round_recorder import Round, RoundRecorder
 from cosim.loop.state_layouts import Pose

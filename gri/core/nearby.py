@@ -19,7 +19,8 @@ class Nearby:
     ahead: Float[Tensor, "B N M"]
     """From front to front along the road [m]; negative where the other is behind."""
     across: Float[Tensor, "B N M"]
-    """Between the centres across the road [m]; positive where the other is to the left. Lanes are 3 to 3.7 m wide."""
+    """Between the centres across the road [m]; positive where the other is to the left, as in the states of the group
+    (the side of the target lane, in a merge). Lanes are 3 to 3.7 m wide."""
     v: Float[Tensor, "B M"]
     """Speed [m/s]."""
     length: Float[Tensor, "B M"]
@@ -27,11 +28,14 @@ class Nearby:
     width: Float[Tensor, "B M"]
     """[m]"""
     present: Bool[Tensor, "B M"]
+    lane_left: Float[Tensor, "B N"] | None = None
+    """From the front of each vehicle of the group to the end of the lane that ends [m]; None where none ends."""
 
     def repeated(self, times: int) -> "Nearby":
         """The same for groups that are listed so many times in a row, all groups once, then again."""
         fields = ("ahead", "across", "v", "length", "width", "present")
-        return Nearby(*(torch.cat([getattr(self, name)] * times) for name in fields))
+        left = None if self.lane_left is None else torch.cat([self.lane_left] * times)
+        return Nearby(*(torch.cat([getattr(self, name)] * times) for name in fields), lane_left=left)
 
     def next_ahead(self) -> tuple[Float[Tensor, "B N"], Float[Tensor, "B N"]]:
         """Net gap [m] to the next vehicle ahead in the path of each vehicle of the group, and its speed [m/s].

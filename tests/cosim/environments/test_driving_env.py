@@ -10,6 +10,7 @@ from msgspec.structs import replace
 
 from cosim.environments import DrivingEnv, LearnedPolicy
 from cosim.environments.actions import check_kind
+from cosim.environments.observation import check_seen, names_of
 from cosim.loop.closed_loop import run
 from cosim.loop.driving import Driver
 from cosim.spec.input_files import find_net
@@ -135,6 +136,33 @@ def test_an_episode_is_the_drive_of_the_closed_loop(merging, merge_scenario, tmp
         assert speeds + relative == pytest.approx(v[:, 1], abs=1e-5)
 
 
+def test_a_learner_that_sees_everybody_sees_the_same_in_a_run(merge_scenario, tmp_path):
+    """A policy whose actions depend on every number that it sees drives the same in both."""
+    names = names_of(0, DUBINS, "everybody")
+    weights = np.random.default_rng(3).normal(size=(2, len(names))) / len(names)
+
+    def predict(observation: np.ndarray) -> np.ndarray:
+        return np.tanh(observation @ weights.T)
+
+    env = DrivingEnv(merge_scenario, sees="everybody")
+    try:
+        assert env.observation_space.contains(env.reset(options={"start": 1})[0])
+        driven = [drive(env, predict, options={"start": k})[0] for k in range(4)]
+    finally:
+        env.close()
+    scenario = replace(merge_scenario, driven=(0,), surroundings=False)
+    files = SumoFiles(find_net(scenario.net), tmp_path / "routes.rou.xml", tmp_path / "sumo.log")
+    policy = LearnedPolicy(predict, 0.2, DUBINS, sees="everybody")
+    episodes = run(scenario, files, Driver("learned", policy), lambda *_: None).episodes
+    for episode, observations in zip(episodes, driven, strict=True):
+        speeds = 15.0 * np.array([observation[1] for observation in observations])
+        assert speeds == pytest.approx(episode.feature("v")[episode.during_drive][:, 0], abs=1e-4)
+        left = 100.0 * np.array([observation[names.index("lane_left")] for observation in observations])
+        assert left[0] - left[1:] == pytest.approx(0.2 * np.cumsum(speeds[:-1]), rel=0.1, abs=0.2)
+    ahead = [observation[names.index("path.ahead.gap")] for of in driven for observation in of]
+    assert min(ahead) < 3.0 < max(ahead)
+
+
 def test_resets_fork_and_do_not_warm_up_again(merging):
     merging.reset(seed=0)
     times = []
@@ -150,6 +178,8 @@ def test_what_does_not_fit_is_an_input_error(merging, merge_scenario):
         DrivingEnv(merge_scenario, reward={"speling": 1.0})
     with pytest.raises(InputError, match="expected one of targets, dynamics"):
         check_kind("steering")
+    with pytest.raises(InputError, match="sees: got 'all', expected one of group, everybody"):
+        check_seen("all")
     with pytest.raises(InputError, match="call reset first"):
         DrivingEnv(merge_scenario).step(LEFT)
     with pytest.raises(InputError, match="from 0 to 3"):

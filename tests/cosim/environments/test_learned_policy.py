@@ -6,8 +6,9 @@ import torch
 
 from cosim.environments.actions import action_of
 from cosim.environments.learned_policy import network_policy, save_network
-from cosim.environments.observation import features_of, observe
+from cosim.environments.observation import features_of, names_of, observe
 from gri.core.dynamics import DUBINS, POINT_MASS_1D
+from gri.core.nearby import Nearby
 from gri.core.policy import PolicyState
 from gri.errors import InputError
 
@@ -33,6 +34,39 @@ def test_the_file_holds_the_network(network):
     assert action[0, 0].numpy() == pytest.approx(wanted, rel=1e-4)
     others, _ = policy.others.act(PolicyState(None, torch.zeros(1, 3, 0)), torch.from_numpy(STATE.astype(np.float32)))
     assert (action[0, 1:] == others[0, 1:]).all()
+
+
+def test_everybody_near_is_observed_by_place():
+    """The nearest ones in the path, on the left and on the right; the rest of their places are empty."""
+    places = {"lead": (25.0, 0.2, 8.0), "far": (60.0, 0.0, 9.0), "left": (-20.0, 3.6, 14.0), "right": (9.0, -3.6, 12.0)}
+    ahead, across, v = (torch.tensor([value], dtype=torch.float32) for value in zip(*places.values(), strict=True))
+    size = torch.full((1, 4), 5.0)
+    near = Nearby(
+        ahead[:, None].repeat(1, 3, 1),
+        across[:, None].repeat(1, 3, 1),
+        v,
+        size,
+        0.4 * size,
+        torch.tensor([[True, True, True, True]]),
+        torch.tensor([[80.0, 95.0, 60.0]]),
+    )
+    found = dict(zip(names_of(0, DUBINS, "everybody"), observe(STATE, 0, DUBINS, near)[0], strict=True))
+    assert list(found.values())[:13] == pytest.approx(observe(STATE, 0, DUBINS)[0])
+    nobody = {f"{place}.gap": 100 / 30 for place in ("path.behind", "left.ahead", "right.behind")}
+    nobody |= {f"{place}.v": 0.0 for place in ("path.behind", "left.ahead", "right.behind")}
+    there = {"lane_left": 0.8, "path.ahead.gap": 20 / 30, "path.ahead.v": -0.8, "left.behind.gap": 15 / 30}
+    there |= {"left.behind.v": 0.4, "right.ahead.gap": 4 / 30, "right.ahead.v": 0.0}
+    assert {name: found[name] for name in there} == pytest.approx(there)
+    assert {name: found[name] for name in nobody} == pytest.approx(nobody)
+    assert {*there, *nobody} == {*found} - {*names_of(0, DUBINS, "group")}
+
+
+def test_a_network_that_sees_everybody_says_so_in_its_file(tmp_path):
+    inputs = len(names_of(0, DUBINS, "everybody"))
+    save_network(
+        tmp_path / "n.npz", [(np.zeros((2, inputs)), np.zeros(2))], dynamics="dubins", dt=0.2, sees="everybody"
+    )
+    assert network_policy(0.2, str(tmp_path / "n.npz")).sees_nearby
 
 
 def test_a_file_for_another_step_or_of_another_kind_is_an_input_error(network, tmp_path):
