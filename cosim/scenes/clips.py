@@ -72,7 +72,8 @@ def cut_clip(window: Window, buffer: TrajectoryBuffer, scene_steps: int) -> Clip
     far_behind = np.full(leader.shape, np.inf)
     for j, t in np.argwhere(np.isfinite(behind_leader) | np.isfinite(behind_target)).tolist():
         v = float(values[j, t, COLUMN["v"]])
-        far_behind[j, t] = buffer.world.drivers.follow_speed(ids[j], v, FAR, v, buffer.world.drivers.braking(ids[j]))
+        braking = float(values[j, t, COLUMN["braking"]])
+        far_behind[j, t] = buffer.world.drivers.follow_speed(ids[j], v, FAR, v, braking)
     return Clip(window, steps[0].time, drivers, values, behind_leader, behind_target, far_behind)
 
 
@@ -86,18 +87,15 @@ def _allowed_speeds(
 ) -> Float[np.ndarray, "3 M"]:
     """Speeds [m/s] that SUMO's car-following models allow behind the vehicles `ahead`; inf where there is none."""
     allowed = np.full(ahead.shape, np.inf)
-    braking: dict[int, float] = {}
-    drivers = buffer.world.drivers
     for j, t in np.argwhere(ahead != NO_VEHICLE).tolist():
-        number, step = int(ahead[j, t]), steps[t]
-        row = step.row_of.get(number)
+        step = steps[t]
+        row = step.row_of.get(int(ahead[j, t]))
         if row is None:  # beyond the road section: it may have slowed the vehicle to any speed
             allowed[j, t] = 0.0
             continue
-        if number not in braking:
-            braking[number] = drivers.braking(step.ids[row])
-        v, gap, v_ahead = values[j, t, COLUMN["v"]], values[j, t, COLUMN[gap_column]], step.values[row, COLUMN["v"]]
-        allowed[j, t] = drivers.follow_speed(ids[j], float(v), float(gap), float(v_ahead), braking[number])
+        v, gap = values[j, t, [COLUMN["v"], COLUMN[gap_column]]].tolist()
+        v_ahead, braking = step.values[row, [COLUMN["v"], COLUMN["braking"]]].tolist()
+        allowed[j, t] = buffer.world.drivers.follow_speed(ids[j], v, gap, v_ahead, braking)
     return allowed
 
 

@@ -18,7 +18,7 @@ from cosim.sumo import CachedVehicleValues, Net, Sumo
 from cosim.world.road_frame import RoadFrame
 from cosim.world.snapshot import LaneChange, LaneTraffic
 
-READ_FROM_SUMO = ("lane", "position", "v", "leader", "gap")
+READ_FROM_SUMO = ("lane", "position", "v", "leader", "gap", "braking")
 EFFECTS = ("effect_of_leader", "effect_of_requests")
 FILLED_LATER = ("limit", "v_next", *EFFECTS, "decision_known")
 COLUMNS = (
@@ -158,6 +158,7 @@ class TrajectoryBuffer:
         self._lane_of: dict[str, int] = {}
         self._pending: deque[_Intervention] = deque()
         self._decision_steps = CachedVehicleValues(self._steps_per_decision)
+        self._braking = CachedVehicleValues(world.drivers.braking)
         self._last_decisions = {name: LastDecisions() for name in EFFECTS}
         self._must_change: set[str] = set()  # vehicles that must leave their lane to stay on their route
         self._requested: set[str] = set()  # vehicles that were asked to make room at the step before
@@ -253,7 +254,8 @@ class TrajectoryBuffer:
         leaders = [*map(numbers.__getitem__, driving.leader)]
         values = np.empty((count, len(COLUMNS)))
         values[:] = DEFAULTS
-        read = [driving.lane, driving.position, driving.v, leaders, driving.gap]
+        braking = [self._braking[vehicle] for vehicle in driving.ids]  # later they may have left the simulation
+        read = [driving.lane, driving.position, driving.v, leaders, driving.gap, braking]
         values[:, : len(READ_FROM_SUMO)] = np.array(read, dtype=float).T
         candidates = self._must_change | self._requested
         requests = find_requests(

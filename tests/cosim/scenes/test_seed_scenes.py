@@ -122,3 +122,11 @@ def test_a_finer_step_gives_scenes_of_the_same_rate(tmp_path: Path):
     assert found["scene"].nunique() == 2
     assert sorted(found["time"].drop_duplicates().diff().dropna().round(3).unique())[0] == 0.2
     assert figures.steps == round(figures.simulated / 0.1)
+
+
+def test_a_long_window_may_outlast_a_leader_that_leaves_the_net(tmp_path):
+    """How hard it can brake is asked while it is there: in these 20 s, one behind which a merger drove is gone."""
+    rules = Rules(merging_steps=100, strategic=False)
+    found, figures = extracted(tmp_path, short(seed=8, time_limit=150.0), kinds=("merge",), count=60, rules=rules)
+    assert figures.tallies["merge"]["scenes"] == found["scene"].nunique() >= 1
+    assert found.groupby("scene")["step"].nunique().eq(100).all()
