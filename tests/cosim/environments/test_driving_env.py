@@ -11,6 +11,7 @@ from msgspec.structs import replace
 from cosim.environments import DrivingEnv, LearnedPolicy
 from cosim.environments.actions import check_kind
 from cosim.environments.observation import check_seen, names_of
+from cosim.environments.waiting_policy import IDLE
 from cosim.loop.closed_loop import run
 from cosim.loop.driving import Driver
 from cosim.spec.input_files import find_net
@@ -57,6 +58,15 @@ def test_a_seed_gives_the_same_episode_in_other_processes(merging, merge_scenari
         other.close()
     assert all((a == b).all() for a, b in zip(found[0], again[0], strict=True))
     assert found[1:] == again[1:]
+
+
+def test_a_copy_that_waited_and_one_that_is_forked_at_once_are_the_same(merging):
+    time.sleep(3 * IDLE)  # the start keeps a spare copy by now
+    spare = drive(merging, steer, options={"start": 2})
+    merging.reset(options={"start": 2})
+    forked = drive(merging, steer, options={"start": 2})  # no time has been for another spare
+    assert all((a == b).all() for a, b in zip(spare[0], forked[0], strict=True))
+    assert spare[1:] == forked[1:]
 
 
 def test_seeds_and_successive_episodes_have_different_starts(merging):
