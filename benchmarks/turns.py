@@ -5,6 +5,7 @@ from multiprocessing import get_context
 from multiprocessing.synchronize import Semaphore
 from typing import TypeVar
 
+from cosim.core import RoundCore, Steps
 from cosim.process.fork import fork
 from cosim.sumo import Sumo
 from cosim.world.snapshot import StepReport
@@ -17,20 +18,36 @@ R = TypeVar("R")
 def side_by_side(world: Sumo, every: int, one: Callable[[], A], other: Callable[[], B]) -> tuple[A, B]:
     """The results of both functions, each run in a branch of its own; they step the world in turns of `every` steps."""
     first, second = (get_context("fork").Semaphore(value) for value in (1, 0))
+    together = RoundCore.advance  # many steps in compiled code
 
     def taking_turns(work: Callable[[], R], mine: Semaphore, theirs: Semaphore) -> R:
-        step, count = world.step, 0
+        step, count, waited = world.step, 0, -1
 
-        def in_turn() -> StepReport:
-            nonlocal count
-            if count % every == 0:
+        def wait() -> None:
+            nonlocal waited
+            if count % every == 0 and count != waited:
                 if count:
                     theirs.release()
                 mine.acquire()
+                waited = count
+
+        def in_turn() -> StepReport:
+            nonlocal count
+            wait()
             count += 1
             return step()
 
+        def together_in_turn(
+            core: RoundCore, first: int, decisions: int, most: int, **options: bool
+        ) -> tuple[int, int, Steps]:
+            nonlocal count
+            wait()
+            made = together(core, first, decisions, min(most, every - count % every), **options)
+            count += len(made[2])
+            return made
+
         world.step = in_turn
+        setattr(RoundCore, "advance", together_in_turn)  # noqa: B010
         try:
             return work()
         finally:

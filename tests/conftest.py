@@ -13,6 +13,7 @@ from tests import shape_checks
 FEW = 3  # test files that one process has done before a second one would have imported torch and SUMO
 TOGETHER = ("tests/cosim/commands/", "tests/cosim/environments/")  # their tests share fixtures of a session
 shape_checks.install()
+os.environ.setdefault("COSIM_CORE", "python")  # the reference, whatever is built here; tests/cosim/core compares
 
 
 @pytest.hookimpl(tryfirst=True)

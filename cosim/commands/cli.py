@@ -21,6 +21,7 @@ from cosim.commands.arguments import (
 from cosim.commands.batch import batch, results
 from cosim.commands.check import check
 from cosim.commands.cutin_grid import cutin_grid
+from cosim.commands.doctor import doctor
 from cosim.commands.export import export
 from cosim.commands.new import new
 from cosim.commands.realism import realism
@@ -168,6 +169,7 @@ for _command in (
     cutin_grid,
     batch,
     results,
+    doctor,
 ):
     app.command()(_command)
 

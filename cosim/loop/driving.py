@@ -11,14 +11,15 @@ from functools import partial
 import numpy as np
 import torch
 
+from cosim.loop.compiled_steps import compiled_steps, load_core
 from cosim.loop.graph_source import graph_from_source, keep_where_unknown, on_same_pairs, smoothed, with_edges
 from cosim.loop.guard import guard_of
 from cosim.loop.intervention import Intervention, NoIntervention
-from cosim.loop.nearby_vehicles import Around
 from cosim.loop.observation import GroupObservation
 from cosim.loop.policy_runner import PolicyRunner
 from cosim.loop.returning_vehicles import ReturningVehicles
 from cosim.loop.round_recorder import Round, RoundRecorder, hard_braking
+from cosim.loop.round_start import Made, RoundStart, Seen, around_of
 from cosim.loop.state_layouts import layout_of
 from cosim.loop.take_over_and_hand_back import Control, PolicyControl, SumoControl
 from cosim.spec.scenario import AFTERMATH, GraphSource, Inferred, RssFilter
@@ -29,7 +30,7 @@ from cosim.world.episode import COLUMNS, Contact, Episode, Event, EventKind
 from cosim.world.groups import order_of
 from cosim.world.road_frame import RoadFrame
 from cosim.world.snapshot import Snapshot
-from cosim.world.surroundings import Instant, Surroundings
+from cosim.world.surroundings import Surroundings
 from gri.core.graph import EdgeType, InteractionGraph
 from gri.core.policy import Policy
 from gri.reference_drivers.drivers import DriverName
@@ -54,24 +55,6 @@ class Driver:
     safety: RssFilter | None = None
     predicts: bool = False
     without: frozenset[tuple[int, int]] = frozenset()
-
-
-@dataclass(frozen=True)
-class RoundStart:
-    """A round that is ready to be driven, or to be recorded while SUMO drives.
-
-    `control` moves the driven vehicles, `intervention` perturbs the round, `now` is the take-over, `observations` are
-    the history up to it. Driving uses a start up; branches of the process may share it.
-    """
-
-    control: Control
-    intervention: Intervention | NoIntervention
-    now: Snapshot
-    observations: tuple[GroupObservation, ...]
-
-    @property
-    def round(self) -> Round:
-        return self.intervention.round
 
 
 @torch.inference_mode()
@@ -110,20 +93,13 @@ def start_round(
         ),
         reinfer_steps=driver.reinfer,
         channels=intervention.channels(layout, road, len(observations), predicts=driver.predicts),
-        around=_around(intervention, now),
+        around=around_of(intervention, now),
         guard=guard_of(driver.reference, driver.safety, this_round),
     )
     runner.decide(now)
+    load_core()
     returning = ReturningVehicles(this_round.dt, this_round.lanes)
     return RoundStart(PolicyControl(driver.name, this_round, runner, returning), intervention, now, observations)
-
-
-def _around(intervention: Intervention | NoIntervention, now: Snapshot) -> Around:
-    """The vehicles near the round, the members of its groups, and where the lane of a merge ends."""
-    this_round, lanes = intervention.round, intervention.round.lanes
-    members = [intervention.members(g, now) for g in range(len(this_round.groups))]
-    end = lanes.source.end if lanes is not None and lanes.ends else None
-    return Around(now, members, end, lanes.side if lanes is not None else 1)
 
 
 def _graph_to_use(
@@ -143,46 +119,68 @@ def _graph_to_use(
     return with_edges(known, dict.fromkeys(without, EdgeType.NONE), this_round.size)
 
 
+@dataclass(frozen=True)
+class PythonSteps:
+    """The steps of a round, one by one: the reference for `compiled_steps.CompiledSteps`."""
+
+    world: Sumo
+    road: RoadFrame
+    start: RoundStart
+
+    def drive(self, seen: Seen, recorder: RoundRecorder, most: int) -> Made:
+        """Make a step with the active groups driven."""
+        del most
+        control, active = self.start.control, recorder.active
+        control.decide(seen.now)
+        control.command(self.world, self.road, active, seen.now)
+        made = self._step(seen)
+        now, observation, recorded = made.observed
+        return replace(made, observed=(now, control.with_commanded_acceleration(observation, active), recorded))
+
+    def watch(self, seen: Seen, recorder: RoundRecorder, most: int) -> None:
+        """Make a step without any driven group."""
+        del most
+        self.start.control.command(self.world, self.road, (), seen.now)
+        now, observation, recorded = self._step(seen).observed
+        seen.add(now, observation, recorded)
+        recorder.look_for_contacts(now)
+
+    def _step(self, seen: Seen) -> Made:
+        intervention = self.start.intervention
+        intervention.command(self.world, self.road, seen.steps, self.start.control.roles, seen.now)
+        report = self.world.step()
+        return Made(intervention.observe(self.world, self.road, seen.observations[-1], seen.now), report)
+
+
 @torch.inference_mode()
 def drive(world: Sumo, road: RoadFrame, start: RoundStart) -> list[Episode]:
     """Drive (or only record) the groups of a round until all have ended, then watch them; one Episode per group."""
     this_round, control, intervention = start.round, start.control, start.intervention
-    now, observations = start.now, [*start.observations]
-    around: list[Snapshot | Instant] = [now]
-    rows = observations[-1].rows
-    length, width = now.length[rows], now.width[rows]
-    recorder, trace = RoundRecorder(this_round, width), []
-    control.take_over(world, recorder, now.time)
+    seen = Seen.at_start(start)
+    rows = start.observations[-1].rows
+    length, width = start.now.length[rows], start.now.width[rows]
+    recorder = RoundRecorder(this_round, width)
+    control.take_over(world, recorder, start.now.time)
     intervention.begin(world, control.roles)
-    step = 0
+    steps = compiled_steps(world, road, start) or PythonSteps(world, road, start)
     while recorder.active:
-        active, before = recorder.active, observations[-1]
-        control.decide(now)
-        control.command(world, road, active, now)
-        intervention.command(world, road, step, control.roles, now)
-        report, step = world.step(), step + 1
-        now, observation, recorded = intervention.observe(world, road, before, now)
-        around.append(recorded)
-        observation = control.with_commanded_acceleration(observation, active)
-        recorder.judge(observation, before, now, report, last=step == this_round.driven_steps)
+        active = recorder.active
+        made = steps.drive(seen, recorder, this_round.driven_steps - seen.steps)
+        if made is None:  # nothing happened
+            continue
+        (now, observation, recorded), report, before = made.observed, made.report, seen.observations[-1]
+        recorder.judge(observation, before, now, report, last=seen.steps + 1 == this_round.driven_steps)
         recorder.end_failed(control.failures, before.time, now.time)
         control.hand_back(world, road, recorder, observation, now, ended=set(active) - set(recorder.active))
         shown = intervention.shown_to_policy(observation, now)
-        control.observe(shown, recorder.active, _around(intervention, now) if control.sees_nearby else None)
-        observations.append(observation.with_last_known_states(before))
-        trace.append(now)
-    control.verify(observations[len(start.observations) :], recorder)
-    for watched in range(step, step + this_round.watched_steps):
-        control.command(world, road, (), now)
-        intervention.command(world, road, watched, control.roles, now)
-        world.step()
-        now, observation, recorded = intervention.observe(world, road, observations[-1], now)
-        around.append(recorded)
-        observations.append(observation.with_last_known_states(observations[-1]))
-        trace.append(now)
-        recorder.look_for_contacts(now)
-    episodes = _episodes(recorder, control, observations, Surroundings.of(around), length, width)
-    return _judged(episodes, intervention, start.now, trace, recorder.contacts)
+        control.observe(shown, recorder.active, around_of(intervention, now) if control.sees_nearby else None)
+        seen.add(now, observation, recorded)
+    driven = seen.steps
+    control.verify(seen.observations[len(start.observations) :], recorder)
+    while (left := driven + this_round.watched_steps - seen.steps) > 0:
+        steps.watch(seen, recorder, left)
+    episodes = _episodes(recorder, control, seen.observations, Surroundings.of(seen.around), length, width)
+    return _judged(episodes, intervention, start.now, seen.trace, recorder.contacts)
 
 
 def _judged(

@@ -9,11 +9,12 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+from cosim.core import RoundCore
 from cosim.loop.guard import Guard
 from cosim.loop.nearby_vehicles import Around, nearby_vehicles
 from cosim.loop.observation import GroupObservation
 from cosim.loop.own_policy import PolicyFailure
-from cosim.loop.state_layouts import Layout
+from cosim.loop.state_layouts import Layout, Pose
 from cosim.perturb.effects import Effect
 from cosim.perturb.sensing_and_control import SensingAndControl
 from cosim.world.episode import COLUMNS, FilterUse
@@ -22,6 +23,8 @@ from gri.core.graph import InteractionGraph
 from gri.core.nearby import Nearby
 from gri.core.policy import Policy, PolicyState
 from gri.core.trajectory import Trajectory
+from gri.networks.fast_decoder import FewVehicles
+from gri.networks.model import RelationalModel
 
 _A = COLUMNS.index("a")
 LARGEST = 1e6  # of any action in SI units, far beyond what a vehicle can do
@@ -57,7 +60,7 @@ class PolicyRunner:
         guard: Guard | None = None,
     ) -> None:
         assert policy.dynamics.name is layout.dynamics.name, f"cannot drive {policy.dynamics.name} states here"
-        self._policy, self._layout, self._dt = policy, layout, dt
+        self._policy, self.layout, self._dt = policy, layout, dt
         self._every = max(round(policy.dt / dt), 1)  # steps between two actions of the policy
         self._dynamics, self._speed = policy.dynamics, policy.dynamics.speed
         self._driven_roles, self._override_graph = list(driven_roles), override_graph
@@ -113,12 +116,12 @@ class PolicyRunner:
             self._action_now = self._usable(self._of_own_view(self._action(observed, time)))
         allowed = self._action_now
         if self._guard is not None:
-            changed = self._guard.change(self._state, allowed.numpy().astype(float), now, self._layout)
+            changed = self._guard.change(self._state, allowed.numpy().astype(float), now, self.layout)
             allowed = torch.from_numpy(changed.astype(np.float32))
         action = self._channels.executed_action(allowed)
         self._commanded = self._next_state(action.numpy().astype(float))
         self._steps += 1
-        self.pose = self._layout.pose(self._commanded)
+        self.pose = self.layout.pose(self._commanded)
 
     def _observed(self) -> Float[np.ndarray, "V N D"]:
         """The present states as the channels show them, in each view."""
@@ -166,7 +169,7 @@ class PolicyRunner:
         """Who is around the groups now, in each view; None for a policy that does not look at them."""
         if self._around is None or not self.sees_nearby:
             return None
-        nearby = nearby_vehicles(self._around, self._layout.pose(self._state))
+        nearby = nearby_vehicles(self._around, self.layout.pose(self._state))
         return nearby if self._channels.views == 1 else nearby.repeated(self._channels.views)
 
     def _usable(self, action: Float[Tensor, "G N A"]) -> Float[Tensor, "G N A"]:
@@ -199,7 +202,7 @@ class PolicyRunner:
 
     def _next_state(self, action: Float[np.ndarray, "G N A"]) -> Float[np.ndarray, "G N D"]:
         """The next state by the dynamics, within what the road surface allows; no vehicle drives backwards."""
-        following = self._layout.in_bends(self._state, self._dynamics.step(self._state, action, self._dt))
+        following = self.layout.in_bends(self._state, self._dynamics.step(self._state, action, self._dt))
         if not self._perfect:
             following = self._channels.feasible_state(torch.from_numpy(following)).numpy()
         if self._dynamics.stop is None or not (following[..., self._speed] < 0).any():  # few ever stand still
@@ -210,13 +213,54 @@ class PolicyRunner:
         """Read the vehicles' new states; driven vehicles are where the dynamics put them."""
         self._around = around
         driven = self._driven(active)[..., None]
-        self._state = np.where(driven, self._commanded, self._layout.states(observation.state))
+        self._state = np.where(driven, self._commanded, self.layout.states(observation.state))
 
     def with_commanded_acceleration(self, observation: GroupObservation, active: Sequence[int]) -> GroupObservation:
         """The observation with the dynamics' acceleration of driven vehicles; SUMO reports the past step's mean."""
         state = observation.state.copy()
         np.copyto(state[..., _A], self.pose.a, where=self._driven(active))
         return GroupObservation(observation.time, state, observation.valid, observation.rows)
+
+    @property
+    def numbers(self) -> FewVehicles | None:
+        """What decides alone under the present graph, as numbers; None where anything else has a say in it."""
+        if not isinstance(self._policy, RelationalModel) or not self._perfect or self._guard or self.failures:
+            return None
+        return self._policy.few_vehicles(self._memory)
+
+    @property
+    def graph(self) -> InteractionGraph | None:
+        """The graph that the policy drives under."""
+        return self._memory.graph
+
+    @property
+    def every(self) -> int:
+        """Steps between two actions of the policy."""
+        return self._every
+
+    def has_decided(self, now: Snapshot) -> bool:
+        """Whether the next poses are decided on."""
+        return self._decided_at == now.time
+
+    @property
+    def decisions_until_graph(self) -> int | None:
+        """How many decisions come before the graph is inferred again; None if it never is."""
+        return -self._steps % self._reinfer_steps if self._reinfer_steps else None
+
+    def hand_over(self, core: RoundCore) -> int:
+        """Let compiled code go on from here; returns the number of decisions so far."""
+        pose = self.pose
+        core.state[:], core.commanded[:], core.action[:] = self._state, self._commanded, self._action_now.numpy()
+        core.pose[:] = pose.s, pose.d, pose.heading, pose.v, pose.a
+        return self._steps
+
+    def take_back(self, core: RoundCore, decisions: int, states: Float[np.ndarray, "M G N D"]) -> None:
+        """Go on from where compiled code is after `decisions`, which were made in these states since `hand_over`."""
+        if self._reinfer_steps:
+            first = decisions - len(states)
+            self._window.extend(state for k, state in enumerate(states, first) if k % self._every == 0)
+        self._steps, self._state, self._commanded = decisions, core.state.copy(), core.commanded.copy()
+        self._action_now, self.pose = torch.from_numpy(core.action.copy()), Pose(*core.pose.copy())
 
     def _driven(self, active: Sequence[int]) -> Bool[np.ndarray, "G N"]:
         """The vehicles that the policy drives, in the active groups."""

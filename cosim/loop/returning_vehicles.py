@@ -46,6 +46,11 @@ class ReturningVehicles:
     _returns: dict[str, Return] = field(default_factory=dict)
     _stops: dict[str, Stop] = field(default_factory=dict)
 
+    @property
+    def are_there(self) -> bool:
+        """Whether there are any."""
+        return bool(self._returns or self._stops)
+
     def hand_back(self, world: Sumo, vehicle: str, a: float, lateral_speed: float, *, checked: bool) -> None:
         """Begin to hand a driven vehicle back; its last acceleration [m/s²] and lateral speed [m/s] go on at first.
 

@@ -111,6 +111,12 @@ class RoundRecorder:
         # Before other events of the same time: events are put in the order of time.
         self.events = [[*new, *events] for new, events in zip(found, self.events, strict=True)]
 
+    def nothing_happened(self, steps: int) -> None:
+        """Take note of steps without contacts in which no group ended and no vehicle merged."""
+        self.contacts += [np.empty((0, 2), dtype=int)] * steps
+        if steps:
+            self._steps_inside[self.active] = 0
+
     def judge(
         self,
         observation: GroupObservation,

@@ -111,6 +111,11 @@ class PositionReader:
         if teleported:
             self._rings = [ring for ring in self._rings if ring.in_spans is None]
 
+    def forget(self) -> None:
+        """Ask SUMO for everything again: steps were made that this reader took no note of."""
+        self._rings.clear()
+        self.known.forget()
+
     def of_all(self, road: RoadFrame) -> Positions:
         """The positions of all vehicles."""
         try:

@@ -73,8 +73,20 @@ class Sumo:
             self.before_step()
         libsumo.simulationStep()
         self._commanded.clear()
+        self._states.positions.update(_arrived(), bool(_teleporting() or _teleported()))
+        return self._report()
+
+    def after_other_steps(self, *, reported: bool) -> StepReport | None:
+        """Take note of steps that compiled code has made; returns the report of the last one if asked for.
+
+        Nobody was teleported, and nothing collided, in those before.
+        """
+        self._commanded.clear()
+        self._states.positions.forget()
+        return self._report() if reported else None
+
+    def _report(self) -> StepReport:
         arrived, begun, hits = _arrived(), _teleporting(), _collisions()
-        self._states.positions.update(arrived, bool(begun or _teleported()))
         pairs = [(hit.collider, hit.victim) for hit in hits] if hits else ()
         report = StepReport(
             time=_time(),
@@ -159,6 +171,21 @@ class Sumo:
         """Whether the vehicle has a command for the coming step."""
         return vehicle in self._commanded
 
+    @property
+    def is_euler(self) -> bool:
+        """Whether accelerations follow from speeds: SUMO's update of positions is not the ballistic one."""
+        return self._states.is_euler
+
+    @property
+    def known_ids(self) -> tuple[str, ...]:
+        """The ids of all vehicles on the net, in order; one that left all lanes may be among them."""
+        return self._known.ids
+
+    @property
+    def taken(self) -> tuple[str, ...]:
+        """The vehicles that SUMO's drivers do not drive alone: those taken, and those on their way back."""
+        return tuple(self._modes)
+
     def is_taken(self, vehicle: str) -> bool:
         """Whether the vehicle was taken and has not been handed back since."""
         return vehicle in self._modes and vehicle not in self._returning
@@ -172,15 +199,24 @@ class Sumo:
 
     def place_shadow(self, vehicle: str, x: float, y: float, heading: float, speed: float, lane: str) -> None:
         """Put a shadow of the vehicle on a lane, to which others react; no snapshot, report or count shows it."""
+        self.add_shadow(vehicle)
+        self.command(SHADOW + vehicle, x, y, heading, speed, lane)
+
+    def add_shadow(self, vehicle: str) -> None:
+        """Add the shadow of a vehicle, if it has none; it must be put somewhere before the next step."""
         shadow, api = SHADOW + vehicle, libsumo.vehicle
-        if vehicle not in self._shadowed:
-            # a headway of its own gives a vehicle a type of its own, which SUMO deletes with any vehicle that has it
-            kind = api.getTypeID(vehicle).removesuffix(f"@{vehicle}")
-            api.add(shadow, self._shadow_route(vehicle), kind)
-            api.setSpeedMode(shadow, _NO_CHECKS)
-            api.setLaneChangeMode(shadow, _NO_CHANGES)
-            self._shadowed.add(vehicle)
-        self.command(shadow, x, y, heading, speed, lane)
+        if vehicle in self._shadowed:
+            return
+        # a headway of its own gives a vehicle a type of its own, which SUMO deletes with any vehicle that has it
+        kind = api.getTypeID(vehicle).removesuffix(f"@{vehicle}")
+        api.add(shadow, self._shadow_route(vehicle), kind)
+        api.setSpeedMode(shadow, _NO_CHECKS)
+        api.setLaneChangeMode(shadow, _NO_CHANGES)
+        self._shadowed.add(vehicle)
+
+    def has_shadow(self, vehicle: str) -> bool:
+        """Whether the vehicle has a shadow."""
+        return vehicle in self._shadowed
 
     def _shadow_route(self, vehicle: str) -> str:
         """The id of a route for the vehicle's shadow; SUMO forgets the ids of routes that belong to one vehicle."""

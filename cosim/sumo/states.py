@@ -36,7 +36,7 @@ class StateReader:
         self.positions, self._sizes, self._taken = PositionReader(is_taken), sizes, taken
         self._sized: tuple[tuple[str, ...], np.ndarray] = (), np.empty((2, 0))
         self._step = libsumo.simulation.getDeltaT()
-        self._is_euler = libsumo.simulation.getOption("step-method.ballistic") == "false"
+        self.is_euler = libsumo.simulation.getOption("step-method.ballistic") == "false"
         self._last: tuple[float, tuple[str, ...], np.ndarray] = -math.inf, (), np.empty(0)  # time, ids, speeds
 
     def snapshot(
@@ -83,7 +83,7 @@ class StateReader:
         is another number where a vehicle stops within a step.
         """
         (at, before, v_before), self._last = self._last, (time, ids, v)
-        if not self._is_euler or abs(time - at - self._step) > 1e-6:  # the last reading was not one step ago
+        if not self.is_euler or abs(time - at - self._step) > 1e-6:  # the last reading was not one step ago
             return np.fromiter(map(_acceleration, ids), float, len(ids))
         row_of, unknown = row_of_ids(ids), []
         if before is not ids and before != ids:

@@ -135,6 +135,15 @@ class RoadFrame:
         return len(self.points) == 2
 
     @property
+    def straight_line(self) -> tuple[float, ...] | None:
+        """Where the line is straight and not mirrored: start x, y, direction x, y, normal x, y, origin, arc length at
+        the start [m], heading [rad]. None elsewhere."""
+        if not self.is_straight or self.mirrored:
+            return None
+        (start, direction, arc), (normal, heading) = self._segments, self._straight
+        return *start[0].tolist(), *direction[0].tolist(), *normal.tolist(), self.origin, float(arc[0]), heading
+
+    @property
     def end(self) -> float:
         """Coordinate s [m] of the end of the reference line."""
         return float(self._segments[2][-1]) - (0.0 if self.is_straight else EXTENSION) - self.origin

@@ -21,7 +21,7 @@ class Snapshot:
     """All vehicles at one instant, in SUMO's order of ids.
 
     `xy` and `heading` are in the world frame, `s` and `d` in the road frame (`cosim.world.road_frame`), SI units.
-    `lane` is the id of a vehicle's lane, "" where it is on none.
+    `lane` is the id of a vehicle's lane, "" where it is on none; `lane` is empty where lanes were not read.
     """
 
     time: float

@@ -183,6 +183,16 @@ POINT_MASS_2D = Dynamics(
 _BY_NAME = {dynamics.name: dynamics for dynamics in (POINT_MASS_1D, DUBINS, POINT_MASS_2D)}
 
 
+def transition_matrix(dynamics: Dynamics, dt: float) -> Float[np.ndarray, "D I"] | None:
+    """The matrix of `step` in double precision; None where there is none.
+
+    It is applied to the state, the action and, for Dubins' car, v·cosθ and v·sinθ.
+    """
+    matrices = {DynamicsName.POINT_MASS_1D: _point_mass_1d_matrix, DynamicsName.DUBINS: _dubins_matrix}
+    found = matrices.get(dynamics.name)
+    return None if found is None else found(dt, torch.float64).numpy()
+
+
 def dynamics_named(name: DynamicsName | str) -> Dynamics:
     """The dynamics of that name. Raises `ValueError` if there are none of that name."""
     return _BY_NAME[DynamicsName(name)]

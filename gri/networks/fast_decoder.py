@@ -181,22 +181,26 @@ class FewVehicles:
 
     What goes into x·σ(x) = h + h·tanh(h) is computed as h = x/2 right away, with half the weights and biases: halving
     is exact in floating point. Results are written into the same arrays in every call, except the last one.
+
+    Its numbers can be read, for other code that computes the same. Each of `read`, `edge`, `last` and `inner` is a
+    weight [I, O] with its bias. `senders` and `receivers` are the rows of the P pairs, in the order of `turns`.
     """
 
     def __init__(self, policy: FoldedPolicy, unit: np.ndarray) -> None:
-        sums, self._ends, self._unit = policy.sum_messages, policy.ends, unit
+        sums, self.ends, self.unit = policy.sum_messages, policy.ends, unit
         assert isinstance(sums, SparseMessageSum), "the policy is to be in numpy"
         (scene, sender, receiver), (scenes, vehicles, driven) = sums.pairs, sums.shape
-        order, self._turns = _by_turns(scene * driven + receiver)
-        self._senders, self._receivers = ((scene * vehicles + of)[order] for of in (sender, receiver))
-        self._mask = None if sums.mask.all() else sums.mask[order]
+        order, self.turns = _by_turns(scene * driven + receiver)
+        self.senders, self.receivers = ((scene * vehicles + of)[order] for of in (sender, receiver))
+        self.mask = None if sums.mask.all() else sums.mask[order]
         rows = np.arange(scenes)[:, None] * vehicles + np.arange(driven)
-        self._driven = slice(None) if driven == vehicles else rows.ravel()
+        self.driven = rows.ravel()
+        self._all_driven = driven == vehicles
         *inner, last = policy.later_layers
-        self._read, self._edge = (policy.weight.T / 2, policy.bias / 2), (sums.second / 2, sums.bias[order] / 2)
-        self._node = policy.node_weight.T / 2
-        self._inner, self._last = [(weight.T / 2, bias / 2) for weight, bias in inner], (last[0].T, last[1])
-        self._shape, kind = (scenes, driven, len(last[1])), policy.weight.dtype
+        self.read, self.edge = (policy.weight.T / 2, policy.bias / 2), (sums.second / 2, sums.bias[order] / 2)
+        self.node = policy.node_weight.T / 2
+        self.inner, self.last = [(weight.T / 2, bias / 2) for weight, bias in inner], (last[0].T, last[1])
+        self.shape, kind = (scenes, driven, len(last[1])), policy.weight.dtype
         self._parts = np.empty((scenes * vehicles, len(policy.bias)), kind)
         self._sent = np.empty((len(order), policy.ends[0]), kind)
         self._messages = np.empty((len(order), sums.second.shape[1]), kind)
@@ -208,27 +212,27 @@ class FewVehicles:
     def __call__(self, state: np.ndarray) -> np.ndarray:
         """Mean action [B, R, A] for states [B, N, D]."""
         parts, sent, messages, sums = self._parts, self._sent, self._messages, self._sums
-        end_sender, end_receiver = self._ends
-        _product(state.reshape(len(parts), -1), *self._read, parts)
-        np.add(parts[self._senders, :end_sender], parts[self._receivers, end_sender:end_receiver], out=sent)
+        end_sender, end_receiver = self.ends
+        _product(state.reshape(len(parts), -1), *self.read, parts)
+        np.add(parts[self.senders, :end_sender], parts[self.receivers, end_sender:end_receiver], out=sent)
         _silu_of_half(sent)
-        if self._mask is not None:
-            sent *= self._mask
-        _product(sent, *self._edge, messages)
+        if self.mask is not None:
+            sent *= self.mask
+        _product(sent, *self.edge, messages)
         _silu_of_half(messages)
-        for turn, (pairs, receivers) in enumerate(self._turns):
+        for turn, (pairs, receivers) in enumerate(self.turns):
             sums[receivers] = messages[pairs] if turn == 0 else sums[receivers] + messages[pairs]
-        hidden = np.matmul(sums, self._node, out=self._layers[0])
-        hidden += parts[self._driven, end_receiver:]
+        hidden = np.matmul(sums, self.node, out=self._layers[0])
+        hidden += parts[:, end_receiver:] if self._all_driven else parts[self.driven, end_receiver:]
         _silu_of_half(hidden)
-        for (weight, bias), layer in zip(self._inner, self._layers[1:], strict=True):
+        for (weight, bias), layer in zip(self.inner, self._layers[1:], strict=True):
             _product(hidden, weight, bias, layer)
             _silu_of_half(layer)
             hidden = layer
-        action = hidden @ self._last[0]
-        action += self._last[1]
-        action *= self._unit
-        return action.reshape(self._shape)
+        action = hidden @ self.last[0]
+        action += self.last[1]
+        action *= self.unit
+        return action.reshape(self.shape)
 
 
 def _by_turns(receivers: np.ndarray) -> tuple[np.ndarray, list[tuple[slice, np.ndarray]]]:

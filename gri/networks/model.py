@@ -98,7 +98,8 @@ class RelationalModel(nn.Module):
         self.encoder = _encoder(config)
         speed = self.dynamics.speed
         self.novelty = None if config.pair_encoder is msgspec.UNSET else Novelty(REFERENCE, speed, config.dt)
-        self._bound: tuple[InteractionGraph, Drive] | None = None  # the graph of the last `act`, and its driver
+        # The graph of the last `act`, its driver, and what that is made of.
+        self._bound: tuple[InteractionGraph, Drive, fast_decoder.FewVehicles | None] | None = None
 
     @property
     def dynamics(self) -> Dynamics:
@@ -186,11 +187,20 @@ class RelationalModel(nn.Module):
         """Mean action under the most probable graph."""
         assert memory.graph is not None, "begin() gives a PolicyState with a graph"
         if self.training or self._bound is None or self._bound[0] is not memory.graph:
-            self._bound = memory.graph, self._bind(memory.graph, state.shape[1])
+            self._bound = memory.graph, *self._bind(memory.graph, state.shape[1])
         return self._bound[1](state, memory)
 
+    def few_vehicles(self, memory: PolicyState) -> fast_decoder.FewVehicles | None:
+        """What `act` computed last, for states relative to the last vehicle, as numbers that other code can read.
+
+        None where the policy has not acted under this graph, has a memory, or drives groups of many vehicles.
+        """
+        if self._bound is None or self._bound[0] is not memory.graph:
+            return None
+        return self._bound[2]
+
     @torch.no_grad()
-    def _bind(self, graph: InteractionGraph, vehicles: int) -> Drive:
+    def _bind(self, graph: InteractionGraph, vehicles: int) -> tuple[Drive, fast_decoder.FewVehicles | None]:
         """How to drive under a graph: in numpy for the feed-forward decoder, else in torch."""
         edges, pairs = graph.one_hot, graph.candidates
         edges = dense(edges) if pairs is None else fast_decoder.PairGraph(edges, pairs, vehicles)
@@ -209,7 +219,7 @@ class RelationalModel(nn.Module):
                 shifted[..., 0] -= shifted[:, -1:, 0]  # as `relative`
                 return torch.from_numpy(by_numpy(shifted)), memory
 
-        return act
+        return act, by_numpy if isinstance(by_numpy, fast_decoder.FewVehicles) else None
 
     def step(self, state: Float[Tensor, "*batch D"], action: Float[Tensor, "*batch A"]) -> Float[Tensor, "*batch D"]:
         """The next state under the model's dynamics, with the stop at v = 0 if `never_reverse` is set."""

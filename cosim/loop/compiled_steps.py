@@ -1,0 +1,186 @@
+"""Steps of a round in the compiled core, where that is built and the round is one that it can drive.
+
+As long as nothing happens, steps are made without Python. A step in which something may have happened is handed to
+Python, which judges it as it does without the core. Vehicles on their way back to SUMO's drivers are commanded by
+Python, and so are decisions that are more than a feed-forward policy and its dynamics. The results are the same, bit
+for bit (tests/cosim/core/test_compiled_steps.py).
+"""
+
+from dataclasses import dataclass
+
+from cosim.core import RoundCore, RoundFacts, Steps
+from cosim.core.library import DECIDE, QUIET, REFUSED, library
+from cosim.core.numpy_loops import loops
+from cosim.loop.intervention import NoIntervention
+from cosim.loop.observation import GroupObservation
+from cosim.loop.round_recorder import RoundRecorder
+from cosim.loop.round_start import Made, RoundStart, Seen, around_of
+from cosim.loop.state_layouts import Layout, LongitudinalLayout, Pose
+from cosim.loop.take_over_and_hand_back import PolicyControl
+from cosim.spec.scenario import Merge
+from cosim.sumo import Sumo
+from cosim.world.road_frame import RoadFrame
+from gri.core.dynamics import transition_matrix
+from gri.core.graph import InteractionGraph
+
+
+def load_core() -> bool:
+    """Whether there is a compiled core; loads it once, so that branches need not."""
+    return library() is not None and loops() is not None
+
+
+def compiled_steps(world: Sumo, road: RoadFrame, start: RoundStart) -> "CompiledSteps | None":
+    """The compiled steps of a round, after its take-over; None where Python is to make them.
+
+    They are for straight roads without perturbations, for vehicles driven by policies in states of a matrix.
+    """
+    if not load_core():
+        return None
+    intervention, control, this_round = start.intervention, start.control, start.round
+    if not isinstance(intervention, NoIntervention) or intervention.recorded is not None:
+        return None
+    if not isinstance(control, PolicyControl) or not this_round.groups:
+        return None
+    if road.straight_line is None or road.places is not None or this_round.default_driver != "sumo":
+        return None
+    layout, lanes = control.runner.layout, this_round.lanes
+    matrix = transition_matrix(layout.dynamics, this_round.dt)
+    if layout.lines is not None or matrix is None or (lanes is not None and lanes.path is not None):
+        return None
+    is_merge, rows = isinstance(this_round.rule, Merge), start.observations[-1].rows
+    facts = RoundFacts(
+        dt=this_round.dt,
+        road=road,
+        is_euler=world.is_euler,
+        members=this_round.vehicles,
+        driven_roles=this_round.driven_roles,
+        lanes=lanes if is_merge else None,
+        has_third=this_round.has_third_vehicle,
+        records_surroundings=this_round.records_surroundings,
+        width=start.now.width[rows],
+        matrix=matrix.T,
+        every=control.runner.every,
+        before=start.observations[-1].state,
+        **_layout_facts(layout),
+    )
+
+    def change_shadow(group: int, wanted: int) -> None:
+        vehicle = this_round.groups[group].ids[0]
+        (world.add_shadow if wanted else world.remove_shadow)(vehicle)
+
+    core = RoundCore(facts, change_shadow, world.before_step)
+    core.start(start.now, world.known_ids)
+    if intervention.ahead is not None:
+        core.repeat(intervention.ahead.vehicles, intervention.ahead.steps)
+    return CompiledSteps(world, road, start, control, core)
+
+
+def _layout_facts(layout: Layout) -> dict:
+    if isinstance(layout, LongitudinalLayout):
+        return {"offset": layout.offset, "across": layout.lateral, "side": 1}
+    return {"offset": layout.offset, "across": layout.target, "side": layout.side}
+
+
+@dataclass
+class CompiledSteps:
+    """The steps of a round; `drive` and `watch` do what those of `driving.PythonSteps` do, for many steps at once."""
+
+    world: Sumo
+    road: RoadFrame
+    start: RoundStart
+    control: PolicyControl
+    core: RoundCore
+    _graph: InteractionGraph | None = None
+    _knows_policy: bool = False
+    _guided_at: int = -1
+
+    def drive(self, seen: Seen, recorder: RoundRecorder, most: int) -> Made | None:
+        """Make steps with the active groups driven, `most` at most; the last if something may have happened then."""
+        control, runner, active = self.control, self.control.runner, recorder.active
+        self.core.active[:] = False
+        self.core.active[active] = True
+        by_core, last = self._let_core_decide(), most
+        if not by_core and not runner.has_decided(seen.now):
+            runner.decide(seen.now)
+        decided = runner.has_decided(seen.now)
+        if not by_core:
+            last = 1
+        elif (until_graph := runner.decisions_until_graph) is not None:
+            last = min(most, until_graph + decided)
+        if last == 0:  # the graph is inferred again before the next decision
+            runner.decide(seen.now)
+            return None
+        if self._guide_returning(seen):
+            last = 1
+        decisions = runner.hand_over(self.core)
+        self._tell_who_is_taken()
+        status, decisions, steps = self.core.advance(
+            seen.steps, decisions, last, decided=decided, driving=True, judging=True
+        )
+        runner.take_back(self.core, decisions, steps.state)
+        control.commanded.extend((Pose(*pose), active) for pose in steps.pose)
+        if status == REFUSED:
+            control.command(self.world, self.road, active, seen.now)  # says what is wrong
+        something = len(steps) > 0 and (
+            status not in (QUIET, DECIDE) or len(steps) == most or not runner.failures.keys().isdisjoint(active)
+        )
+        report = self.world.after_other_steps(reported=something)
+        self._add(seen, recorder, steps, len(steps) - something)
+        if status == DECIDE:
+            runner.decide(seen.now)
+        if something:
+            assert report is not None
+            now, recorded = steps.found[-1]
+            return Made((now, self._observation(steps, len(steps) - 1), recorded), report)
+        if not by_core:
+            observation = seen.observations[-1]
+            around = around_of(self.start.intervention, seen.now) if control.sees_nearby else None
+            control.observe(observation, active, around)
+        return None
+
+    def watch(self, seen: Seen, recorder: RoundRecorder, most: int) -> None:
+        """Make steps without any driven group, `most` at most."""
+        if self._guide_returning(seen):
+            most = 1
+        self._tell_who_is_taken()
+        status, _, steps = self.core.advance(seen.steps, 0, most, decided=False, driving=False, judging=False)
+        self.world.after_other_steps(reported=False)
+        quiet = len(steps) - (status != QUIET)
+        self._add(seen, recorder, steps, quiet)
+        if status != QUIET:
+            now, recorded = steps.found[-1]
+            seen.add(now, self._observation(steps, quiet), recorded)
+            recorder.look_for_contacts(now)
+
+    def _let_core_decide(self) -> bool:
+        """Whether the core can decide; it is told about a graph that it does not know."""
+        runner = self.control.runner
+        if runner.graph is not self._graph or runner.failures:
+            numbers, self._graph = runner.numbers, runner.graph
+            self._knows_policy = numbers is not None
+            if numbers is not None:
+                self.core.use(numbers)
+        return self._knows_policy
+
+    def _guide_returning(self, seen: Seen) -> bool:
+        """Command the vehicles on their way back, if there are any, once before each step."""
+        returning = self.control.returning
+        if returning.are_there and self._guided_at != seen.steps:
+            self._guided_at = seen.steps
+            returning.command(self.world, self.road, seen.now)
+            return True
+        return self._guided_at == seen.steps
+
+    def _tell_who_is_taken(self) -> None:
+        self.core.take(self.world.taken)
+        if self.start.round.lanes is not None:
+            self.core.shadowed[:] = [self.world.has_shadow(group.ids[0]) for group in self.start.round.groups]
+
+    def _add(self, seen: Seen, recorder: RoundRecorder, steps: Steps, count: int) -> None:
+        """Add the first steps, in which nothing happened."""
+        for k, (now, recorded) in enumerate(steps.found[:count]):
+            seen.add(now, self._observation(steps, k), recorded)
+        recorder.nothing_happened(count)
+
+    def _observation(self, steps: Steps, k: int) -> GroupObservation:
+        return GroupObservation(float(steps.time[k]), steps.observed[k], steps.valid[k], steps.rows[k])

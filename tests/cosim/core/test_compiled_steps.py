@@ -1,0 +1,154 @@
+"""The compiled core drives as Python does: whole episodes are compared, bit for bit, on all shipped scenarios."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+from msgspec.structs import replace
+
+from cosim.core import build_core, core_status
+from cosim.core.library import library
+from cosim.core.round_core import RoundCore
+from cosim.loop.driving import RoundStart, drive, start_round
+from cosim.loop.intervention import NoIntervention
+from cosim.loop.trunk import Trunk
+from cosim.loop.vehicles_ahead import SpeedRecord, vehicles_ahead
+from cosim.process.fork import fork
+from cosim.runs.policy_loading import driver_of
+from cosim.spec.input_files import find_net
+from cosim.spec.loading import load_scenario
+from cosim.spec.scenario import RssFilter
+from cosim.traffic.running_simulation import RunningSimulation, simulation
+from cosim.traffic.simulation_input import SumoFiles, prepare_simulation
+from cosim.world.episode import Episode
+from gri.core.policy import IntelligentDriver
+from gri.errors import InputError
+
+CAR_FOLLOWING, MERGE = "us101_car_following", "us101_merge"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _built():
+    try:
+        build_core()
+    except InputError as error:
+        pytest.skip(f"no compiled core: {error}")
+
+
+def differences(one: object, other: object, path: str = "") -> list[str]:
+    """Where two results differ in a bit, by name."""
+    if dataclasses.is_dataclass(one):
+        names = [field.name for field in dataclasses.fields(one)]
+        return [at for name in names for at in differences(getattr(one, name), getattr(other, name), f"{path}.{name}")]
+    if isinstance(one, torch.Tensor):
+        return differences(one.numpy(), other.numpy(), path)  # type: ignore[attr-defined]
+    if isinstance(one, np.ndarray):
+        assert isinstance(other, np.ndarray)
+        same = one.dtype == other.dtype and np.array_equal(one, other, equal_nan=one.dtype.kind == "f")
+        return [] if same else [path]
+    if isinstance(one, list | tuple):
+        assert isinstance(other, list | tuple)
+        if len(one) != len(other):
+            return [path]
+        pairs = enumerate(zip(one, other, strict=True))
+        return [at for k, (a, b) in pairs for at in differences(a, b, f"{path}[{k}]")]
+    return [] if one == other else [path]
+
+
+def driven(running: RunningSimulation, start: RoundStart, core: str) -> tuple[tuple[list[Episode], int, int], int]:
+    """What comes of a round with one of the cores, and how many steps compiled code made."""
+    steps, advance = 0, RoundCore.advance
+
+    def counted(*arguments, **options):
+        nonlocal steps
+        made = advance(*arguments, **options)
+        steps += len(made[2])
+        return made
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("COSIM_CORE", core)
+        patch.setattr(RoundCore, "advance", counted)
+        core_status.cache_clear()
+        library.cache_clear()
+        episodes = drive(running.world, running.frame, start)
+        return (episodes, running.world.teleports, running.world.collision_steps), steps
+
+
+def compare(name: str, tmp_path, *, groups: int = 4, warm_up: float = 120.0, rounds: int = 1, repeat: bool = False,
+            **changes) -> list[tuple[list, int]]:  # fmt: skip
+    """Drive the same rounds with both cores; the episodes, and the steps that compiled code made."""
+    scenario = load_scenario(name)
+    traffic = replace(scenario.traffic, warm_up=warm_up)
+    scenario = replace(scenario, traffic=traffic, groups_at_once=groups, watch=6.0, time_limit=600.0)
+    driver = driver_of(scenario)
+    assert driver is not None
+    driver = dataclasses.replace(driver, **changes)
+    files = SumoFiles(find_net(scenario.net), tmp_path / "routes.rou.xml", tmp_path / "sumo.log")
+    inputs = prepare_simulation(scenario, files, scenario.time_limit)
+    inputs.write()
+    found = []
+    with simulation(inputs) as running:
+        trunk = Trunk(running, inputs.scenario)
+        trunk.warm_up(lambda *_: None)
+        while len(found) < rounds:
+            history = trunk.observe_history()
+            this_round = trunk.find_groups(history, limit=groups)
+            if not this_round.groups:
+                continue
+            plan = NoIntervention(this_round)
+            if repeat:
+                speeds = SpeedRecord(vehicles_ahead(this_round.groups, history[-1]))
+                undriven = start_round(running.frame, history, dataclasses.replace(plan, recorded=speeds), None)
+                plan = plan.repeating(fork(lambda u=undriven, s=speeds: (drive(running.world, running.frame, u), s)
+                                           ).result()[1], history[-1])  # fmt: skip
+            start = start_round(running.frame, history, plan, driver)
+            (by_python, none), (compiled, steps) = (
+                fork(lambda core=core, start=start: driven(running, start, core)).result()
+                for core in ("python", "compiled")
+            )
+            assert none == 0
+            assert differences(by_python, compiled) == []
+            found.append((by_python[0], steps))
+    return found
+
+
+@pytest.mark.parametrize("name", [CAR_FOLLOWING, MERGE, "i80_car_following", "i80_merge", "us101_lively", "i80_lively"])
+@pytest.mark.slow
+def test_every_scenario_is_driven_with_the_same_bits(name, tmp_path):
+    for episodes, steps in compare(name, tmp_path, rounds=2, repeat=True):
+        assert steps >= len(episodes[0].time) - 26
+
+
+def test_groups_are_driven_with_the_same_bits(tmp_path):
+    ((episodes, steps),) = compare(CAR_FOLLOWING, tmp_path, repeat=True)
+    assert len(episodes) > 1
+    assert steps == len(episodes[0].time) - 25
+
+
+@pytest.mark.slow
+def test_merges_are_driven_with_the_same_bits(tmp_path):
+    endings = [episodes[0].ending.value for episodes, _ in compare(MERGE, tmp_path, groups=1, rounds=3)]
+    assert "merged" in endings
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"reinfer": 5},
+        {"policy": IntelligentDriver(dt=0.2)},
+        {"policy": IntelligentDriver(dt=0.2, sees_nearby=True)},
+        {"safety": RssFilter()},
+    ],
+    ids=["inferred again", "idm", "idm that sees others", "safety filter"],
+)
+def test_what_python_decides_is_driven_with_the_same_bits(changes, tmp_path):
+    ((episodes, steps),) = compare(CAR_FOLLOWING, tmp_path, **changes)
+    assert steps == len(episodes[0].time) - 25
+
+
+@pytest.mark.slow
+def test_a_curved_road_is_left_to_python(tmp_path):
+    ((_, steps),) = compare("curved_merge", tmp_path, groups=1)
+    assert steps == 0
