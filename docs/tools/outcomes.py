@@ -20,6 +20,8 @@ POLICIES = {
     "idm": "IDM",
     "sumo": "SUMO",
     "constant_velocity": "constant velocity",
+    "gri+predict": "GRI, predicting",
+    "idm+predict": "IDM, predicting",
 }
 
 
