@@ -20,6 +20,7 @@ HAND_WRITTEN = [
 LONG = {  # to look things up in
     "decisions/016-rooms-and-names.md",
     "reference/run-tables.md",
+    "results/outcomes/tables.md",
     "results/relations/recorded.md",
     "results/relations/relations.md",
 }
