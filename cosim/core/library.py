@@ -30,6 +30,7 @@ class RoundFields(ctypes.Structure):
 
     _fields_ = (
         ("dt", ctypes.c_double),
+        ("settle", ctypes.c_double),
         ("road", ctypes.c_double * 10),
         *((name, _INTEGER) for name in ("groups", "size", "features", "every", "side", "records", "merge")),
         ("has_third", _INTEGER),
@@ -39,6 +40,7 @@ class RoundFields(ctypes.Structure):
         ("loops", _ADDRESS * 10),
         ("matrix", Array),
         *((name, _ADDRESS) for name in ("state", "commanded", "pose", "before", "action", "active", "shadowed")),
+        ("inside", _ADDRESS),
         ("shadow_call", ShadowCall),
         ("step_call", StepCall),
     )
@@ -67,6 +69,8 @@ class Records(ctypes.Structure):
         *((name, _ADDRESS) for name in ("rows", "valid")),
         *((name, _INTEGER) for name in ("block_length", "size_length", "observation_length", "pose_length")),
         *((name, _INTEGER) for name in ("state_length", "near_length")),
+        ("speeds", _ADDRESS),
+        ("speed_length", _INTEGER),
     )
 
 
@@ -84,6 +88,7 @@ def library() -> Any:
     core.core_policy.argtypes = _ADDRESS, ctypes.POINTER(PolicyFields)
     core.core_ahead.argtypes = _ADDRESS, ctypes.c_char_p, _INTEGER, _ADDRESS
     core.core_taken.argtypes = _ADDRESS, ctypes.c_char_p
+    core.core_watch.argtypes = _ADDRESS, ctypes.c_char_p
     core.core_advance.argtypes = _ADDRESS, _INTEGER, _INTEGER, *[ctypes.c_int] * 4
     core.core_records.argtypes = _ADDRESS, ctypes.POINTER(Records)
     for name in ("core_message", "core_list", "core_lanes"):

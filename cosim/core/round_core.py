@@ -28,6 +28,8 @@ class RoundFacts:
     is s + `offset` [m]; with D = 3 `across` are the places d [m] of all vehicles, with D = 6 those of the target lane
     of each group, and y counts to its `side`. `matrix` [I, D] is that of the dynamics, `every` the number of steps
     between two actions. `is_euler` is off with SUMO's ballistic update. `before` is the state at the take-over.
+    A vehicle has merged after `settle` [s] in the target lane; `steps_inside` counts its steps there so
+    far, and is shared with the caller.
     """
 
     dt: float
@@ -45,6 +47,8 @@ class RoundFacts:
     matrix: Float[np.ndarray, "I D"]
     every: int
     before: Float[np.ndarray, "G N C"]
+    settle: float
+    steps_inside: Int[np.ndarray, " G"]
 
 
 @dataclass(frozen=True)
@@ -61,6 +65,8 @@ class Steps:
     pose: Float[np.ndarray, "P 5 G N"]
     state: Float[np.ndarray, "M G N D"]
     found: Sequence[tuple[Snapshot, Instant]]
+    speeds: Float[np.ndarray, "K L"]
+    """Those [m/s] of the vehicles of `RoundCore.record_speeds`, nan for one that is gone."""
 
     def __len__(self) -> int:
         return len(self.time)
@@ -124,6 +130,7 @@ class RoundCore:
         assert found is not None, "the caller asks for numpy's loops first"
         fields = c.RoundFields(
             dt=facts.dt,
+            settle=facts.settle,
             road=(*line, float(facts.is_euler)),
             groups=groups,
             size=size,
@@ -133,7 +140,7 @@ class RoundCore:
             records=facts.records_surroundings,
             merge=facts.lanes is not None,
             has_third=facts.has_third,
-            drives=self._address("drives", np.isin(np.arange(size), facts.driven_roles), bool),
+            drives=self._address("drives", np.array([role in facts.driven_roles for role in range(size)]), bool),
             offset=self._address("offset", facts.offset),
             across=self._address("across", facts.across),
             width=self._address("width", facts.width),
@@ -146,6 +153,8 @@ class RoundCore:
             shadow_call=self._shadow_call,
             step_call=self._step_call,
         )
+        self._kept["inside"] = facts.steps_inside
+        fields.inside = facts.steps_inside.ctypes.data
         for name in ("state", "commanded", "pose", "action", "active", "shadowed"):
             setattr(fields, name, getattr(self, name).ctypes.data)
         return fields
@@ -207,6 +216,10 @@ class RoundCore:
         address, ids = self._address("ahead", speeds), "\n".join(vehicles).encode()
         self._checked(self._library.core_ahead(self._handle, ids, len(steps), address))
 
+    def record_speeds(self, vehicles: Sequence[str]) -> None:
+        """Record the speeds of these vehicles from now on."""
+        self._checked(self._library.core_watch(self._handle, "\n".join(vehicles).encode()))
+
     def take(self, vehicles: tuple[str, ...]) -> None:
         """Tell which vehicles SUMO's drivers do not drive alone."""
         if vehicles != self._taken:
@@ -240,6 +253,7 @@ class RoundCore:
             pose=_copied(of.poses, of.pose_length).reshape(-1, 5, *shape),
             state=_copied(of.states, of.state_length).reshape(-1, *shape, features),
             found=self._found(k),
+            speeds=_copied(of.speeds, of.speed_length).reshape(k, -1) if of.speed_length else np.empty((k, 0)),
         )
 
     def _found(self, steps: int) -> list[tuple[Snapshot, Instant]]:

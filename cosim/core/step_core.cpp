@@ -105,7 +105,7 @@ struct Strip { double begin, end, centre, width; };
 
 struct Core {
     // What does not change
-    double dt, sx, sy, dx, dy, nx, ny, origin, arc, road_heading;
+    double dt, settle, sx, sy, dx, dy, nx, ny, origin, arc, road_heading;
     bool euler, records, merge, has_third, planar;
     int groups, size, features, every, side;
     std::vector<uint8_t> drives;  // by role
@@ -124,11 +124,12 @@ struct Core {
     double *state, *commanded, *pose;
     float* action;
     uint8_t *active, *shadowed;
+    int64_t* inside;  // steps of vehicle 0 in the target lane, at a stretch, by group
     // The traffic
     std::unordered_map<std::string, std::unique_ptr<Car>> all;
     Cars known, members, around, found, near;
     std::vector<Ring> rings;
-    Cars ahead;
+    Cars ahead, watched;
     intptr_t ahead_steps = 0;
     const double* ahead_speeds;
     std::vector<double> before, observed;  // states of the members [G, N, 7], one step ago and now
@@ -138,7 +139,7 @@ struct Core {
     std::vector<double> joined, following, cosine, sine;
     // What a call of `advance` recorded
     int steps = 0;
-    std::vector<double> times, blocks, sizes, observations, poses, states;
+    std::vector<double> times, blocks, sizes, observations, poses, states, speeds;
     std::vector<int32_t> counts, near_counts, versions, near_versions, near_rows, rows;
     std::vector<uint8_t> valids;
     std::vector<std::string> lists;  // ids of vehicles, each list once
@@ -449,7 +450,8 @@ struct Core {
         }
         return between == wanted;
     }
-    bool none_merged() const {  // whether cosim.loop.end_conditions.merging gives no ending for any active group
+    bool none_merged() {  // whether cosim.loop.end_conditions.merging ends no active group; counts `inside` if so
+        std::vector<int64_t> now_inside(inside, inside + groups);
         for (int g = 0; g < groups; ++g) {
             if (!active[g]) continue;
             const double* now = &observed[g * 3 * FEATURES];
@@ -463,8 +465,14 @@ struct Core {
                     one != of[0] && one != lag && one != leader)
                     return false;
             if (now[S] + now[V] * dt >= source.end) return false;
-            if (std::fabs(now[D] - target.centre) + 0.5 * member_width[g * 3] <= 0.5 * target.width) return false;
+            if (std::fabs(now[D] - target.centre) + 0.5 * member_width[g * 3] > 0.5 * target.width) {
+                now_inside[g] = 0;
+                continue;
+            }
+            if (std::fabs(now[FEATURES + D] - target.centre) > 0.5 * target.width) return false;
+            if (++now_inside[g] * dt >= settle - 1e-6) return false;
         }
+        std::copy(now_inside.begin(), now_inside.end(), inside);
         return true;
     }
 
@@ -717,7 +725,7 @@ struct Core {
 
     int advance(intptr_t step, int most, bool decided, bool driving, bool judging) {
         steps = 0;
-        for (auto* of : {&times, &blocks, &sizes, &observations, &poses, &states}) of->clear();
+        for (auto* of : {&times, &blocks, &sizes, &observations, &poses, &states, &speeds}) of->clear();
         for (auto* of : {&counts, &near_counts, &versions, &near_versions, &near_rows, &rows}) of->clear();
         valids.clear();
         lanes.clear();
@@ -734,6 +742,8 @@ struct Core {
             const bool nothing_reported = update_known() & Simulation::getCollisions().empty();
             read();
             record(driving);
+            for (const Car* one : watched)
+                speeds.push_back(one->present ? Api::getSpeed(one->id) : std::numeric_limits<double>::quiet_NaN());
             bool quiet = nothing_reported && apart();
             if (judging) quiet = quiet && complete() && on_lanes() && (merge ? none_merged() : all_follow());
             if (!quiet || k == most - 1) record_lanes();
@@ -762,7 +772,7 @@ extern "C" {
 
 // Everything about a round that does not change; the fields are those of `cosim.core.library.RoundFields`.
 struct RoundFields {
-    double dt, road[10];  // start x, y; direction x, y; normal x, y; origin; arc length; heading; 1 for Euler's update
+    double dt, settle, road[10];  // start x, y; direction x, y; normal x, y; origin; arc length; heading; 1 for Euler's update
     int64_t groups, size, features, every, side, records, merge, has_third;
     const uint8_t* drives;
     const double *offset, *across, *width, *strips;  // strips: begin, end, centre, width of source and target
@@ -773,6 +783,7 @@ struct RoundFields {
     double *state, *commanded, *pose, *before;
     float* action;
     uint8_t *active, *shadowed;
+    int64_t* inside;
     int (*shadow_call)(int, int);
     int (*step_call)();
 };
@@ -790,7 +801,7 @@ void* core_new(const RoundFields* of, const char* members, const char* pair_sour
     Core* core = new Core;
     guarded(core, [&] {
         Core& c = *core;
-        c.dt = of->dt;
+        c.dt = of->dt, c.settle = of->settle, c.inside = of->inside;
         c.sx = of->road[0], c.sy = of->road[1], c.dx = of->road[2], c.dy = of->road[3], c.nx = of->road[4];
         c.ny = of->road[5], c.origin = of->road[6], c.arc = of->road[7], c.road_heading = of->road[8];
         c.euler = of->road[9] == 1;
@@ -902,6 +913,15 @@ int core_taken(void* handle, const char* ids) {
     });
 }
 
+// The vehicles whose speeds are recorded after every step.
+int core_watch(void* handle, const char* ids) {
+    Core* core = static_cast<Core*>(handle);
+    return guarded(core, [&] {
+        core->watched = core->cars(ids);
+        return 0;
+    });
+}
+
 int core_advance(void* handle, int64_t step, int64_t decisions, int most, int decided, int driving, int judging) {
     Core* core = static_cast<Core*>(handle);
     return guarded(core, [&] {
@@ -917,6 +937,8 @@ struct Records {
     const int32_t *counts, *near_counts, *versions, *near_versions, *near_rows, *rows;
     const uint8_t* valid;
     int64_t block_length, size_length, observation_length, pose_length, state_length, near_length;
+    const double* speeds;
+    int64_t speed_length;
 };
 
 void core_records(void* handle, Records* to) {
@@ -926,7 +948,7 @@ void core_records(void* handle, Records* to) {
            c.rows.data(), c.valids.data(), static_cast<int64_t>(c.blocks.size()),
            static_cast<int64_t>(c.sizes.size()), static_cast<int64_t>(c.observations.size()),
            static_cast<int64_t>(c.poses.size()), static_cast<int64_t>(c.states.size()),
-           static_cast<int64_t>(c.near_rows.size())};
+           static_cast<int64_t>(c.near_rows.size()), c.speeds.data(), static_cast<int64_t>(c.speeds.size())};
 }
 
 const char* core_list(void* handle, int64_t which) { return static_cast<Core*>(handle)->lists[which].c_str(); }

@@ -8,19 +8,22 @@ for bit (tests/cosim/core/test_compiled_steps.py).
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from cosim.core import RoundCore, RoundFacts, Steps
-from cosim.core.library import DECIDE, QUIET, REFUSED, library
+from cosim.core.library import DECIDE, JUDGE, QUIET, REFUSED, library
 from cosim.core.numpy_loops import loops
 from cosim.loop.intervention import NoIntervention
 from cosim.loop.observation import GroupObservation
 from cosim.loop.round_recorder import RoundRecorder
 from cosim.loop.round_start import Made, RoundStart, Seen, around_of
 from cosim.loop.state_layouts import Layout, LongitudinalLayout, Pose
-from cosim.loop.take_over_and_hand_back import PolicyControl
+from cosim.loop.take_over_and_hand_back import Control, PolicyControl
+from cosim.loop.vehicles_ahead import SpeedRecord
 from cosim.spec.scenario import Merge
 from cosim.sumo import Sumo
 from cosim.world.road_frame import RoadFrame
-from gri.core.dynamics import transition_matrix
+from gri.core.dynamics import POINT_MASS_1D, transition_matrix
 from gri.core.graph import InteractionGraph
 
 
@@ -29,7 +32,7 @@ def load_core() -> bool:
     return library() is not None and loops() is not None
 
 
-def compiled_steps(world: Sumo, road: RoadFrame, start: RoundStart) -> "CompiledSteps | None":
+def compiled_steps(world: Sumo, road: RoadFrame, start: RoundStart, recorder: RoundRecorder) -> "CompiledSteps | None":
     """The compiled steps of a round, after its take-over; None where Python is to make them.
 
     They are for straight roads without perturbations, for vehicles driven by policies in states of a matrix.
@@ -37,15 +40,13 @@ def compiled_steps(world: Sumo, road: RoadFrame, start: RoundStart) -> "Compiled
     if not load_core():
         return None
     intervention, control, this_round = start.intervention, start.control, start.round
-    if not isinstance(intervention, NoIntervention) or intervention.recorded is not None:
-        return None
-    if not isinstance(control, PolicyControl) or not this_round.groups:
+    if not isinstance(intervention, NoIntervention) or not this_round.groups:
         return None
     if road.straight_line is None or road.places is not None or this_round.default_driver != "sumo":
         return None
-    layout, lanes = control.runner.layout, this_round.lanes
-    matrix = transition_matrix(layout.dynamics, this_round.dt)
-    if layout.lines is not None or matrix is None or (lanes is not None and lanes.path is not None):
+    layout, lanes = control.runner.layout if isinstance(control, PolicyControl) else None, this_round.lanes
+    matrix = transition_matrix(POINT_MASS_1D if layout is None else layout.dynamics, this_round.dt)
+    if (layout and layout.lines is not None) or matrix is None or (lanes is not None and lanes.path is not None):
         return None
     is_merge, rows = isinstance(this_round.rule, Merge), start.observations[-1].rows
     facts = RoundFacts(
@@ -59,9 +60,11 @@ def compiled_steps(world: Sumo, road: RoadFrame, start: RoundStart) -> "Compiled
         records_surroundings=this_round.records_surroundings,
         width=start.now.width[rows],
         matrix=matrix.T,
-        every=control.runner.every,
+        every=control.runner.every if isinstance(control, PolicyControl) else 1,
         before=start.observations[-1].state,
-        **_layout_facts(layout),
+        settle=this_round.rule.settle if isinstance(this_round.rule, Merge) else 0.0,
+        steps_inside=recorder.steps_inside,
+        **_layout_facts(layout, rows.shape),
     )
 
     def change_shadow(group: int, wanted: int) -> None:
@@ -72,10 +75,16 @@ def compiled_steps(world: Sumo, road: RoadFrame, start: RoundStart) -> "Compiled
     core.start(start.now, world.known_ids)
     if intervention.ahead is not None:
         core.repeat(intervention.ahead.vehicles, intervention.ahead.steps)
-    return CompiledSteps(world, road, start, control, core)
+    if intervention.recorded is not None:
+        core.record_speeds(intervention.recorded.vehicles)
+    if isinstance(control, PolicyControl):
+        return CompiledDrive(world, road, start, control, intervention.recorded, core)
+    return CompiledSteps(world, road, start, control, intervention.recorded, core)
 
 
-def _layout_facts(layout: Layout) -> dict:
+def _layout_facts(layout: Layout | None, shape: tuple[int, ...]) -> dict:
+    if layout is None:
+        return {"offset": np.zeros(shape), "across": np.zeros(shape), "side": 1}
     if isinstance(layout, LongitudinalLayout):
         return {"offset": layout.offset, "across": layout.lateral, "side": 1}
     return {"offset": layout.offset, "across": layout.target, "side": layout.side}
@@ -83,22 +92,65 @@ def _layout_facts(layout: Layout) -> dict:
 
 @dataclass
 class CompiledSteps:
-    """The steps of a round; `drive` and `watch` do what those of `driving.PythonSteps` do, for many steps at once."""
+    """The steps of a round; `drive` and `watch` do what those of `driving.PythonSteps` do, for many steps at once.
+
+    Here nobody is driven. `recorded` takes the speeds of some vehicles.
+    """
 
     world: Sumo
     road: RoadFrame
     start: RoundStart
-    control: PolicyControl
+    control: Control
+    recorded: SpeedRecord | None
     core: RoundCore
+
+    def drive(self, seen: Seen, recorder: RoundRecorder, most: int) -> Made | None:
+        """Make `most` steps, or fewer; the last one is returned if something may have happened in it."""
+        self._show_active(recorder)
+        status, _, steps = self.core.advance(seen.steps, 0, most, decided=False, driving=False, judging=True)
+        return self._made(seen, recorder, steps, something=status != QUIET or len(steps) == most)
+
+    def watch(self, seen: Seen, recorder: RoundRecorder, most: int) -> None:
+        """Make `most` steps without any driven group, or fewer."""
+        status, _, steps = self.core.advance(seen.steps, 0, most, decided=False, driving=False, judging=False)
+        made = self._made(seen, recorder, steps, something=status != QUIET)
+        if made is not None:
+            now, observation, recorded = made.observed
+            seen.add(now, observation, recorded)
+            recorder.look_for_contacts(now)
+
+    def _show_active(self, recorder: RoundRecorder) -> None:
+        self.core.active[:] = False
+        self.core.active[recorder.active] = True
+
+    def _made(self, seen: Seen, recorder: RoundRecorder, steps: Steps, *, something: bool) -> Made | None:
+        """Add the steps in which nothing happened; the last one, if `something` may have happened in it."""
+        report = self.world.after_other_steps(reported=something)
+        if self.recorded is not None:
+            self.recorded.add(steps.speeds)
+        quiet = len(steps) - something
+        for k, (now, recorded) in enumerate(steps.found[:quiet]):
+            seen.add(now, _observation(steps, k), recorded)
+        recorder.nothing_happened(quiet)
+        if report is None:
+            return None
+        now, recorded = steps.found[-1]
+        return Made((now, _observation(steps, quiet), recorded), report)
+
+
+@dataclass
+class CompiledDrive(CompiledSteps):
+    """The steps of a round that a policy drives."""
+
+    control: PolicyControl
     _graph: InteractionGraph | None = None
     _knows_policy: bool = False
     _guided_at: int = -1
 
     def drive(self, seen: Seen, recorder: RoundRecorder, most: int) -> Made | None:
-        """Make steps with the active groups driven, `most` at most; the last if something may have happened then."""
+        """Make `most` steps with the active groups driven, or fewer."""
         control, runner, active = self.control, self.control.runner, recorder.active
-        self.core.active[:] = False
-        self.core.active[active] = True
+        self._show_active(recorder)
         by_core, last = self._let_core_decide(), most
         if not by_core and not runner.has_decided(seen.now):
             runner.decide(seen.now)
@@ -121,36 +173,21 @@ class CompiledSteps:
         control.commanded.extend((Pose(*pose), active) for pose in steps.pose)
         if status == REFUSED:
             control.command(self.world, self.road, active, seen.now)  # says what is wrong
-        something = len(steps) > 0 and (
-            status not in (QUIET, DECIDE) or len(steps) == most or not runner.failures.keys().isdisjoint(active)
-        )
-        report = self.world.after_other_steps(reported=something)
-        self._add(seen, recorder, steps, len(steps) - something)
+        failed = not runner.failures.keys().isdisjoint(active)
+        something = len(steps) > 0 and (status == JUDGE or len(steps) == most or failed)
+        made = self._made(seen, recorder, steps, something=something)
         if status == DECIDE:
             runner.decide(seen.now)
-        if something:
-            assert report is not None
-            now, recorded = steps.found[-1]
-            return Made((now, self._observation(steps, len(steps) - 1), recorded), report)
-        if not by_core:
-            observation = seen.observations[-1]
+        if made is None and not by_core:
             around = around_of(self.start.intervention, seen.now) if control.sees_nearby else None
-            control.observe(observation, active, around)
-        return None
+            control.observe(seen.observations[-1], active, around)
+        return made
 
     def watch(self, seen: Seen, recorder: RoundRecorder, most: int) -> None:
-        """Make steps without any driven group, `most` at most."""
-        if self._guide_returning(seen):
-            most = 1
+        """Make `most` steps without any driven group, or fewer; vehicles on their way back are guided."""
+        most = 1 if self._guide_returning(seen) else most
         self._tell_who_is_taken()
-        status, _, steps = self.core.advance(seen.steps, 0, most, decided=False, driving=False, judging=False)
-        self.world.after_other_steps(reported=False)
-        quiet = len(steps) - (status != QUIET)
-        self._add(seen, recorder, steps, quiet)
-        if status != QUIET:
-            now, recorded = steps.found[-1]
-            seen.add(now, self._observation(steps, quiet), recorded)
-            recorder.look_for_contacts(now)
+        super().watch(seen, recorder, most)
 
     def _let_core_decide(self) -> bool:
         """Whether the core can decide; it is told about a graph that it does not know."""
@@ -168,7 +205,6 @@ class CompiledSteps:
         if returning.are_there and self._guided_at != seen.steps:
             self._guided_at = seen.steps
             returning.command(self.world, self.road, seen.now)
-            return True
         return self._guided_at == seen.steps
 
     def _tell_who_is_taken(self) -> None:
@@ -176,11 +212,6 @@ class CompiledSteps:
         if self.start.round.lanes is not None:
             self.core.shadowed[:] = [self.world.has_shadow(group.ids[0]) for group in self.start.round.groups]
 
-    def _add(self, seen: Seen, recorder: RoundRecorder, steps: Steps, count: int) -> None:
-        """Add the first steps, in which nothing happened."""
-        for k, (now, recorded) in enumerate(steps.found[:count]):
-            seen.add(now, self._observation(steps, k), recorded)
-        recorder.nothing_happened(count)
 
-    def _observation(self, steps: Steps, k: int) -> GroupObservation:
-        return GroupObservation(float(steps.time[k]), steps.observed[k], steps.valid[k], steps.rows[k])
+def _observation(steps: Steps, k: int) -> GroupObservation:
+    return GroupObservation(float(steps.time[k]), steps.observed[k], steps.valid[k], steps.rows[k])

@@ -162,7 +162,7 @@ def drive(world: Sumo, road: RoadFrame, start: RoundStart) -> list[Episode]:
     recorder = RoundRecorder(this_round, width)
     control.take_over(world, recorder, start.now.time)
     intervention.begin(world, control.roles)
-    steps = compiled_steps(world, road, start) or PythonSteps(world, road, start)
+    steps = compiled_steps(world, road, start, recorder) or PythonSteps(world, road, start)
     while recorder.active:
         active = recorder.active
         made = steps.drive(seen, recorder, this_round.driven_steps - seen.steps)

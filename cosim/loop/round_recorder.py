@@ -63,9 +63,7 @@ class RoundRecorder:
     def __init__(self, this_round: Round, width: Float[np.ndarray, "G N"]) -> None:
         self.round, self._width, self._driven_roles = this_round, width, list(this_round.driven_roles)
         self._undriven = np.array([role not in this_round.driven_roles for role in range(this_round.size)])
-        self._steps_inside = np.zeros(
-            len(this_round.groups), dtype=int
-        )  # of vehicle 0 in the target lane, at a stretch
+        self.steps_inside = np.zeros(len(this_round.groups), np.int64)  # of vehicle 0 in the target lane, at a stretch
         self.active = list(range(len(this_round.groups)))  # the groups that have not ended yet
         self.endings: dict[int, Ending] = {}
         self.ends: dict[int, float] = {}
@@ -112,10 +110,8 @@ class RoundRecorder:
         self.events = [[*new, *events] for new, events in zip(found, self.events, strict=True)]
 
     def nothing_happened(self, steps: int) -> None:
-        """Take note of steps without contacts in which no group ended and no vehicle merged."""
+        """Take note of steps without contacts in which no group ended; `steps_inside` is up to date."""
         self.contacts += [np.empty((0, 2), dtype=int)] * steps
-        if steps:
-            self._steps_inside[self.active] = 0
 
     def judge(
         self,
@@ -198,8 +194,8 @@ class RoundRecorder:
         ending = end_conditions.merging(
             before.state[g], observation.state[g], snapshot, rows, this_round.lanes, width, this_round.dt
         )
-        self._steps_inside[g] = self._steps_inside[g] + 1 if ending is Ending.MERGED else 0
-        settled = self._steps_inside[g] * this_round.dt >= this_round.rule.settle - 1e-6
+        self.steps_inside[g] = self.steps_inside[g] + 1 if ending is Ending.MERGED else 0
+        settled = self.steps_inside[g] * this_round.dt >= this_round.rule.settle - 1e-6
         return ending if ending is not Ending.MERGED or settled else None
 
     def _contacts(

@@ -12,6 +12,9 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import compress
 
+import numpy as np
+from jaxtyping import Float
+
 from cosim.sumo import Sumo
 from cosim.world.groups import Group
 from cosim.world.snapshot import Snapshot
@@ -33,6 +36,12 @@ class SpeedRecord:
     def record(self, world: Sumo) -> None:
         """Add the speeds after the step that was just made."""
         self.steps.append(world.speeds(self.vehicles))
+
+    def add(self, speeds: Float[np.ndarray, "K L"]) -> None:
+        """Add K steps [m/s], nan for a vehicle that is gone."""
+        for step in speeds.tolist():
+            found = zip(self.vehicles, step, strict=True)
+            self.steps.append({vehicle: speed for vehicle, speed in found if speed == speed})
 
     def of(self, vehicles: Collection[str]) -> "SpeedRecord":
         """The same record for some of its vehicles."""

@@ -22,6 +22,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 
 from gri.core.edges import pairs
+from gri.networks import fast_reaction_evidence
 from gri.networks.reaction_evidence import DELAYS, EVIDENCES, reaction_evidence
 
 LENGTH = 5.0  # [m] of every vehicle
@@ -103,7 +104,8 @@ class PairEncoder(nn.Module):
         weight = self.attention(features).softmax(-1)
         heads = features.unflatten(1, (self.config.heads, -1))
         pooled = [(heads * weight[:, :, None]).sum(-1).flatten(1), features.mean(-1), features.amax(-1)]
-        return self.pair(torch.cat([*pooled, pair_statistics(motion, self.dt)], -1))
+        evidence_of = reaction_evidence if torch.is_grad_enabled() else fast_reaction_evidence.reaction_evidence
+        return self.pair(torch.cat([*pooled, pair_statistics(motion, self.dt, evidence_of)], -1))
 
 
 class PairMotion(NamedTuple):

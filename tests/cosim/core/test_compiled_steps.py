@@ -1,6 +1,7 @@
 """The compiled core drives as Python does: whole episodes are compared, bit for bit, on all shipped scenarios."""
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from cosim.spec.scenario import RssFilter
 from cosim.traffic.running_simulation import RunningSimulation, simulation
 from cosim.traffic.simulation_input import SumoFiles, prepare_simulation
 from cosim.world.episode import Episode
+from cosim.world.snapshot import Snapshot
 from gri.core.policy import IntelligentDriver
 from gri.errors import InputError
 
@@ -75,6 +77,24 @@ def driven(running: RunningSimulation, start: RoundStart, core: str) -> tuple[tu
         return (episodes, running.world.teleports, running.world.collision_steps), steps
 
 
+def left_to_sumo(running: RunningSimulation, history: Sequence[Snapshot], plan: NoIntervention) -> SpeedRecord:
+    """The speeds ahead of a round that is left to SUMO, for which both cores see the same."""
+    vehicles = vehicles_ahead(plan.round.groups, history[-1])
+
+    def record(core: str) -> tuple[object, int, SpeedRecord]:
+        speeds = SpeedRecord(vehicles)
+        start = start_round(running.frame, history, dataclasses.replace(plan, recorded=speeds), None)
+        return *driven(running, start, core), speeds
+
+    (by_python, none, speeds), (compiled, steps, other) = (
+        fork(lambda core=core: record(core)).result() for core in ("python", "compiled")
+    )
+    assert none == 0 < steps == len(speeds.steps)
+    assert differences(by_python, compiled) == []
+    assert speeds == other
+    return speeds
+
+
 def compare(name: str, tmp_path, *, groups: int = 4, warm_up: float = 120.0, rounds: int = 1, repeat: bool = False,
             **changes) -> list[tuple[list, int]]:  # fmt: skip
     """Drive the same rounds with both cores; the episodes, and the steps that compiled code made."""
@@ -98,10 +118,7 @@ def compare(name: str, tmp_path, *, groups: int = 4, warm_up: float = 120.0, rou
                 continue
             plan = NoIntervention(this_round)
             if repeat:
-                speeds = SpeedRecord(vehicles_ahead(this_round.groups, history[-1]))
-                undriven = start_round(running.frame, history, dataclasses.replace(plan, recorded=speeds), None)
-                plan = plan.repeating(fork(lambda u=undriven, s=speeds: (drive(running.world, running.frame, u), s)
-                                           ).result()[1], history[-1])  # fmt: skip
+                plan = plan.repeating(left_to_sumo(running, history, plan), history[-1])
             start = start_round(running.frame, history, plan, driver)
             (by_python, none), (compiled, steps) = (
                 fork(lambda core=core, start=start: driven(running, start, core)).result()
