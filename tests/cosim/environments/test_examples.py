@@ -32,14 +32,15 @@ def started(*command: object) -> str:
 def test_ppo_trains_and_its_policy_drives_in_a_run(folder, tmp_path):
     pytest.importorskip("stable_baselines3", reason="needs the extra `rl`")
     scenario, out = folder / "merge.yaml", tmp_path / "ppo"
-    started(
-        "examples/ppo_merge.py", "--scenario", scenario, "--out", out, "--steps", 512, "--starts", 4, "--evaluate", 2
-    )
-    curve, results = pd.read_csv(out / "curve.csv"), json.loads((out / "evaluation.json").read_text())
-    assert curve["steps"].tolist() == [512]
-    assert set(results) == {"ppo", "constant velocity", "lane change at constant speed", "random"}
-    assert all(row["episodes"] == 2 for row in results.values())
-    assert results["constant velocity"]["completed"] == 0
+    short = ["--scenario", scenario, "--out", out, "--starts", 4, "--parallel", 2]
+    started("examples/ppo_merge.py", *short, "--steps", 1024, "--test-seeds")
+    started("examples/ppo_merge.py", *short, "--steps", 2048, "--resume", "--test-seeds", 3, "--evaluate", 2)
+    curve, results = pd.read_csv(out / "curve.csv"), pd.read_csv(out / "evaluation.csv", index_col="policy")
+    assert curve["steps"].tolist() == [1024, 2048]
+    assert curve["seconds"].is_monotonic_increasing
+    assert (results["groups"] == 2).all()
+    assert results.loc["constant velocity", "merged without contact"] == 0
+    assert {"PPO", "PPO before training", "intelligent driver model", "left to SUMO"} < {*results.index}
     policy = {
         "kind": "python",
         "object": "cosim.environments:network_policy",
