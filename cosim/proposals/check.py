@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
+from itertools import pairwise
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from gri.errors import InputError
 
 LOOK = 60.0  # [s] of traffic that is simulated at most
 TIGHTEST_BEND = 1e-4  # [1/m], below which a road counts as straight
+LONGEST_GAP = 5.0  # [m] without a lane; SUMO keeps a car on a lane that is within half the widths of both, 2.5 m
 ROOM_TO_MERGE = 40.0  # [m] of the ending lane after the zone, below which there is a warning
 Tell = Callable[[str, int, int], None]
 
@@ -80,6 +82,14 @@ def _road(running: RunningSimulation, scenario: Scenario) -> Iterator[Finding]:
     others = len(net.lanes) - len(road.places if road.places is not None else net.lanes)
     if others:
         yield Finding(Verdict.OK, f"world: {others} lanes on other roads or levels are left out")
+    for edge, other in pairwise(edges):
+        if (gap := net.gap_after(edge, other)) > LONGEST_GAP:
+            yield Finding(
+                Verdict.WARNING,
+                f"net: there is no lane on the {gap:.0f} m from {edge} to {other}; SUMO takes a driven vehicle off the"
+                " road there, and its drive ends as off_road. Build the net with internal links (netconvert without"
+                " --no-internal-links)",
+            )
     limit = max(net.limits([f"{edge}_0" for edge in edges]))
     if (way := limit * scenario.horizon) > scenario.road.length:
         yield Finding(

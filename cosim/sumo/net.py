@@ -50,6 +50,17 @@ class Net:
         lanes = (f"{edge}_{index}" for index in range(self.lane_count(edge)))
         return any(link[0].rpartition("_")[0] == other for lane in lanes for link in libsumo.lane.getLinks(lane))
 
+    def gap_after(self, edge: str, other: str) -> float:
+        """The longest way [m] from a lane of the edge to one of the other, where the net has no lane between them."""
+        lanes = [f"{edge}_{index}" for index in range(self.lane_count(edge))]
+        found = [
+            float(np.linalg.norm(self.shape(link[0])[0] - self.shape(lane)[-1]))
+            for lane in lanes
+            for link in libsumo.lane.getLinks(lane)
+            if link[0].rpartition("_")[0] == other and not link[4]
+        ]
+        return max(found, default=0.0)
+
     def road(self, edges: Sequence[str], origin: str) -> RoadFrame:
         """The road frame of a chain of edges, s = 0 where `origin` begins, with the lanes of the road's world."""
         lanes, edges = self.lanes, [*edges]

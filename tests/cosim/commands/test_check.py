@@ -27,3 +27,14 @@ def test_what_fits_and_what_does_not(tmp_path: Path) -> None:
     wrong = CliRunner().invoke(app, ["check", str(path)])
     assert wrong.exit_code == 2
     assert "error group.zone: got [5.0, 90.0], but the lane is at s = 402 to 697 m" in " ".join(wrong.output.split())
+
+
+def test_a_net_without_lanes_in_its_nodes_is_told(tmp_path: Path) -> None:
+    """At the end of the lane that ends, the node is 8 m long: a driven vehicle is on no lane there."""
+    for options, told in (((), False), (("--no-internal-links",), True)):
+        net = build_net(tmp_path / str(told), NODES | {"r": "200,75"}, MERGE, LINKS, options)
+        path = merge_on(net, ["up", "acc", "down"], ["ramp"], "acc_2", group={"zone": [420, 600]})
+        done = CliRunner().invoke(app, ["check", str(path)])
+        text = " ".join(done.output.split())
+        assert ("warning net: there is no lane on the" in text) == told, done.output
+        assert ("from acc to down; SUMO takes a driven vehicle off the road" in text) == told
