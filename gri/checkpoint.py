@@ -62,7 +62,7 @@ def save(
     tensors = _tensors(model, _MODEL) | (_tensors(reward, _REWARD) if reward else {})
     header = Header(
         version=VERSION,
-        sha256=_digest(tensors),
+        sha256=tensor_digest(tensors),
         config=msgspec.to_builtins(config),
         dt=config.dt,
         history_steps=config.history_steps,
@@ -79,8 +79,9 @@ def _tensors(module: torch.nn.Module, prefix: str) -> dict[str, Tensor]:
     return {prefix + name: tensor.detach().clone().contiguous() for name, tensor in module.state_dict().items()}
 
 
-def _digest(tensors: Mapping[str, Tensor]) -> str:
-    total = hashlib.sha256()
+def tensor_digest(tensors: Mapping[str, Tensor], text: str = "") -> str:
+    """SHA-256 of tensors with their names, types and shapes, and of a text."""
+    total = hashlib.sha256(text.encode())
     for name, tensor in sorted(tensors.items()):
         total.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}\n".encode())
         total.update(tensor.numpy().tobytes())
@@ -157,7 +158,7 @@ def _read(path: Path | str) -> tuple[Header, dict[str, dict[str, Tensor]]]:
         if prefix is None or not torch.isfinite(tensor).all():
             raise InputError(f"{path}: its tensor {name[:60]} is unknown or not made of finite numbers; {_REMAKE}")
         tensors[prefix][name.removeprefix(prefix)] = tensor
-    if _digest(found) != header.sha256:
+    if tensor_digest(found) != header.sha256:
         raise InputError(f"{path}: its tensors are damaged (their SHA-256 differs from that in the header); {_REMAKE}")
     return header, tensors
 

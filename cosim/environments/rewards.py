@@ -5,6 +5,7 @@ vehicle alone, "follow.lat" of the relation in which it follows its leader, and 
 outcome terms are 0 or 1, and count in the last step.
 """
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -79,12 +80,14 @@ def reward_of(
 ) -> Reward:
     """The reward of a role under a group rule; without `weights`, the default of the rule.
 
-    Raises `InputError` for a term that does not exist.
+    Raises `InputError` for a term that does not exist, and a weight that is not finite.
     """
     default = DEFAULT_FOR_MERGES if isinstance(rule, Merge) else DEFAULT_FOR_CAR_FOLLOWING
     costs = _costs(rule, role, lane_width)
     if weights is None:
         weights = {name: weight for name, weight in default.items() if name in costs or name in OUTCOME_TERMS}
+    if wrong := [name for name, weight in weights.items() if not math.isfinite(weight)]:
+        raise InputError(f"reward: got {weights[wrong[0]]} as the weight of {wrong[0]!r}, expected a finite number")
     if unknown := [name for name in weights if name not in costs and name not in OUTCOME_TERMS]:
         known = ", ".join([*costs, *OUTCOME_TERMS])
         raise InputError(f"reward: got the term {unknown[0]!r}, expected terms among {known}")

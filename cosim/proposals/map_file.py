@@ -14,6 +14,7 @@ from cosim.proposals.net_file import NetLanes, read_net_lanes
 from gri.errors import InputError
 
 PER_LANE, PER_RAMP = 1200.0, 500.0  # [veh/h] that enter on each lane of a road, and on a ramp of one lane
+LIMIT = 1800.0  # [s] for netconvert; a large city takes minutes
 DEMAND = 7200  # [s] for which vehicles enter
 ROADS = ",".join(f"highway.{kind}{link}" for kind in ("motorway", "trunk") for link in ("", "_link"))
 OPTIONS = ("--geometry.remove", "--no-turnarounds", "--junctions.join", "--xml-validation", "never")
@@ -62,10 +63,9 @@ def _net(path: Path, suffix: str, net: Path) -> None:
         raise InputError(f"{path}: a map needs netconvert, which is not installed; pip install 'gri-cosim[sumo]'")
     special, wanted = (OF_OSM, "motorway or trunk road") if suffix != ".xodr" else ((), "road")
     part = net.with_name(f".{net.name}.part.net.xml")
+    command = [program, MAPS[suffix], str(path), *OPTIONS, *special, "-o", str(part)]
     try:
-        done = subprocess.run(
-            [program, MAPS[suffix], str(path), *OPTIONS, *special, "-o", str(part)], capture_output=True, text=True
-        )
+        done = subprocess.run(command, capture_output=True, text=True, errors="replace", timeout=LIMIT)
         errors = [line.removeprefix("Error: ") for line in done.stderr.splitlines() if line.startswith("Error")]
         if "No edges loaded." in errors:
             raise InputError(f"{path}: got a map without a {wanted}; give one that has some")
@@ -73,6 +73,10 @@ def _net(path: Path, suffix: str, net: Path) -> None:
             said = (errors or done.stderr.split("\n") or ["no reason given"])[0][:200]
             raise InputError(f"{path}: netconvert cannot read it: {said}; correct the map")
         part.replace(net)
+    except subprocess.TimeoutExpired:
+        raise InputError(
+            f"{path}: netconvert did not end within {LIMIT:g} s; cut the map to the road that you need"
+        ) from None
     finally:
         part.unlink(missing_ok=True)
 

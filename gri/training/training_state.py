@@ -24,12 +24,15 @@ from safetensors import safe_open
 from safetensors.torch import save as packed
 from torch import Tensor
 
+from gri.checkpoint import tensor_digest
 from gri.core.scenes import Scenes
 from gri.errors import InputError, guarded_reading
+from gri.storage.verification import DamagedError
 from gri.storage.whole_files import write_whole
 from gri.training.optimisation import Descent
 
 FORMAT = "gri-training-state"
+REMEDY = "remove it to begin anew"
 SAVE_INTERVAL = 60.0  # [s] between two times that the file is written
 
 
@@ -47,6 +50,8 @@ class _Header(msgspec.Struct, forbid_unknown_fields=True):
     identity: str
     spent: tuple[float, float]
     stages: list[_Stage]
+    sha256: str = ""
+    """Of all tensors, and of everything else here."""
 
 
 class TrainingState:
@@ -112,6 +117,7 @@ class TrainingState:
         now = time.monotonic(), time.process_time()
         wall, cpu = (before + end - begin for before, end, begin in zip(self.spent, now, self._began, strict=True))
         header = _Header(self.identity, (wall, cpu), [stage for stage, _ in self._stages])
+        header.sha256 = _digest(tensors, header)
         write_whole(self.path, packed(tensors, {FORMAT: msgspec.json.encode(header).decode()}))
         self._saved = time.monotonic()
 
@@ -162,11 +168,12 @@ class TrainingState:
                 f"{self.path}: stage {number + 1} is {known.name!r} of {known.total} updates, wanted {name!r} of"
                 f" {total}; remove the file to begin anew"
             )
-        for k, (descent, numbers) in enumerate(zip(descents, known.descents, strict=True)):
-            of = {key.removeprefix(f"{k}."): value for key, value in tensors.items() if key.startswith(f"{k}.")}
-            descent.restore(of, numbers)
-        generator.set_state(tensors["generator"])
-        torch.set_rng_state(tensors["global"])
+        with guarded_reading(self.path or "", "state of a training", REMEDY):
+            for k, (descent, numbers) in enumerate(zip(descents, known.descents, strict=True)):
+                of = {key.removeprefix(f"{k}."): value for key, value in tensors.items() if key.startswith(f"{k}.")}
+                descent.restore(of, numbers)
+            generator.set_state(tensors["generator"])
+            torch.set_rng_state(tensors["global"])
         memory.update(known.memory)
         return known.done
 
@@ -183,19 +190,25 @@ class TrainingState:
         self._stages[self._begun - 1 :] = [(stage, tensors)]  # in one step, as a signal can come at any time
 
     def _read(self, path: Path) -> None:
-        remedy = "remove it to begin anew"
-        with guarded_reading(path, "state of a training", remedy), safe_open(path, "pt") as file:
+        with guarded_reading(path, "state of a training", REMEDY), safe_open(path, "pt") as file:
             header = msgspec.json.decode((file.metadata() or {})[FORMAT], type=_Header)
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+        if header.sha256 != _digest(tensors, header):
+            raise DamagedError(f"{path}: is damaged (its SHA-256 hash is not the recorded one); {REMEDY}")
         if header.identity != self.identity:
             raise InputError(
-                f"{path}: got the state of a training with another configuration, seed, scenes or version; {remedy}, or"
+                f"{path}: got the state of a training with another configuration, seed, scenes or version; {REMEDY}, or"
                 " give another --out"
             )
         self.spent = header.spent
         for k, stage in enumerate(header.stages):
             of = {name.removeprefix(f"{k}."): value for name, value in tensors.items() if name.startswith(f"{k}.")}
             self._stages.append((stage, of))
+
+
+def _digest(tensors: Mapping[str, Tensor], header: _Header) -> str:
+    plain = msgspec.to_builtins(header) | {"sha256": ""}
+    return tensor_digest(tensors, msgspec.json.encode(plain, order="sorted").decode())
 
 
 def identity(config: msgspec.Struct, seed: int, scenes: Scenes) -> str:

@@ -40,12 +40,15 @@ from gri import checkpoint
 from gri.core.dynamics import POINT_MASS_1D
 from gri.core.graph import FOLLOWING
 from gri.data.ngsim.reading import read_chunks
+from gri.data.ranges.recorded import SUMO_CAR_FOLLOWING
 from gri.data.recordings.reading import recordings_of
 from gri.data.scene_file.reading import read, scene_counts
 from gri.errors import InputError
+from gri.inference.step_relations import by_model
+from gri.networks.model import RelationalModel
 from gri.resources import shipped
 from gri.training.train import read_train_config
-from tests.fuzz import folders
+from tests.fuzz import folders, other_inputs
 from tests.gri.data.recordings import layout_files
 
 SECONDS, MEGABYTES = 10.0, 1500.0  # per input
@@ -296,7 +299,7 @@ def repacked(rng: random.Random, content: bytes) -> bytes:
         )
     )()
     if rng.random() < 0.7 and "sha256" in header:
-        header["sha256"] = checkpoint._digest(tensors)
+        header["sha256"] = checkpoint.tensor_digest(tensors)
     out = as_safetensors(tensors, {checkpoint.FORMAT: json.dumps(header)})
     if rng.random() < 0.1:  # a header that claims to be far longer than the file
         return rng.randrange(2**63).to_bytes(8, "little") + out[8:]
@@ -317,7 +320,17 @@ def _deepest(rng: random.Random, config: Any) -> None:
 def _scenario() -> tuple[bytes, ...]:
     return tuple(
         yaml.safe_dump(msgspec.to_builtins(load_scenario(name)), sort_keys=False).encode()
-        for name in ("us101_car_following", "us101_merge", "us101_replay")
+        for name in ("us101_car_following", "us101_merge", "us101_replay", "us101_share")
+    ) + tuple(
+        yaml.safe_dump(msgspec.to_builtins(load_scenario(name, settings=settings)), sort_keys=False).encode()
+        for name, settings in (
+            ("us101_merge", ("safety={kind: rss}", "reinfer_s=1", "graph.own_motion=true")),
+            (
+                "us101_car_following",
+                ("predictor=constant_acceleration", "perturbations=[{kind: perception_latency, intensity: 0.4}]"),
+            ),
+            ("us101_share", ("shares={acc: {share: 0.3, policy: {kind: sumo_model, model: ACC}}}",)),
+        )
     )
 
 
@@ -357,11 +370,11 @@ def _recording() -> tuple[bytes, ...]:
 
 
 @cache
-def _scenes() -> tuple[bytes, ...]:
+def _scenes(steps: int = 10) -> tuple[bytes, ...]:
     from gri.data.scene_file.schema import Header, SceneBlock, writing
 
     rng = np.random.default_rng(0)
-    shape = (6, 3, 10)
+    shape = (6, 3, steps)
     names = np.array(["follow", "none", "none", "none", "none", "none"], object)
     features = {name: rng.normal(size=shape) for name in ("x", "v", "a")}
     block = SceneBlock(
@@ -391,6 +404,17 @@ def _read_batch(path: Path) -> Any:
 def _read_scenes(path: Path) -> Any:
     scene_counts(path)
     return read(path, "car_following", POINT_MASS_1D, FOLLOWING).trajectory.state[:]
+
+
+def _infer(path: Path) -> Any:
+    """What `gri infer` makes of a scene file, with a model that is loaded once."""
+    model = _model()
+    return [found.probs for found in by_model(model, SUMO_CAR_FOLLOWING, path, 1.0)]
+
+
+@cache
+def _model() -> RelationalModel:
+    return checkpoint.load("us101_car_following")
 
 
 def _read_checkpoint(path: Path) -> Any:
@@ -464,6 +488,17 @@ DOORS = (
     Door("scene file", ".parquet", _scenes, _read_scenes, (table, *BYTES)),
     Door("recording", ".txt", _recording, _read_recording, (packed, *BYTES)),
     Door("recording of any layout", ".csv", _layouts, _read_layout, BYTES),
+    Door("scenes to infer from", ".parquet", lambda: _scenes(30), _infer, (table, *BYTES)),
+    Door(
+        "state of a training",
+        ".safetensors",
+        other_inputs.good_state,
+        other_inputs.read_state,
+        (other_inputs.spoilt_state, other_inputs.spoilt_state, *BYTES),
+    ),
+    Door("OpenStreetMap", ".osm.xml", other_inputs.good_maps, other_inputs.read_map, (xml, *BYTES)),
+    Door("OpenDRIVE", ".xodr", other_inputs.good_roads, other_inputs.read_map, (xml, *BYTES)),
+    Door("options of environments", ".yaml", lambda: (other_inputs.OPTIONS,), other_inputs.read_options, YAML),
     Door("stress options", ".txt", _stress, _stress_options, BYTES),
     Door("run folder", ".zip", folders.good_run, folders.read_run, folders.inside(BYTES, table)),
     Door("batch folder", ".zip", folders.good_batch, folders.read_batch, folders.inside(BYTES, table)),

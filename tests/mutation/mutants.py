@@ -32,6 +32,11 @@ class Mutant:
         _replace(tree, self.place, self.change)
         return ast.fix_missing_locations(tree)
 
+    @property
+    def name(self) -> str:
+        """Module, function, source line and change: what stays when lines move."""
+        return f"{self.module}: {self.function}: {self.source.splitlines()[self.line - 1].strip()}: {self.text}"
+
     def __str__(self) -> str:
         return f"{self.module}:{self.line} {self.function}: {self.text}"
 

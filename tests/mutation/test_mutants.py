@@ -1,9 +1,17 @@
 """The mutants are what they say, and only functions are changed."""
 
 import ast
+import json
+from collections import Counter
+from importlib.util import find_spec
+from pathlib import Path
 
+from tests.mutation.equivalent import EQUIVALENT
 from tests.mutation.mutants import mutants
 from tests.mutation.targets import TARGETS
+from tests.mutation.which_tests import Only, Watch
+
+pytest_plugins = ["pytester"]
 
 SOURCE = '''
 LIMIT = 3
@@ -36,11 +44,42 @@ def test_one_thing_is_changed_at_a_time():
 
 
 def test_every_module_has_mutants_and_its_tests_exist():
-    from importlib.util import find_spec
-    from pathlib import Path
-
     for module, tests in TARGETS.items():
         spec = find_spec(module)
         assert spec is not None
         assert sum(1 for _ in mutants(module, Path(str(spec.origin)).read_text(encoding="utf-8"))) > 10, module
         assert all(Path(test).is_file() for test in tests)
+
+
+def test_every_equivalent_mutant_is_one_that_exists():
+    """Else the entry is of older code, or hides others."""
+    names = Counter(
+        mutant.name
+        for module in {name.partition(":")[0] for name in EQUIVALENT}
+        for mutant in mutants(module, Path(str(getattr(find_spec(module), "origin", ""))).read_text(encoding="utf-8"))
+    )
+    assert {name: names[name] for name in EQUIVALENT} == dict.fromkeys(EQUIVALENT, 1)
+
+
+def test_a_watched_run_knows_the_tests_of_a_function(pytester):
+    pytester.makepyfile(
+        test_it="""
+        import json, pytest
+        @pytest.fixture(scope="module")
+        def text(): return json.dumps([])
+        def test_loads(): json.loads("[]")
+        def test_text(text): pass
+        def test_other(text): pass
+        """
+    )
+    watch = Watch({"dumps": json.dumps.__code__, "loads": json.loads.__code__, "load": json.load.__code__})
+    assert pytester.inline_run("-p", "no:cacheprovider", plugins=[watch]).ret == 0
+    found = {name: set(tests) for name, tests in watch.found().items()}
+    every = {f"test_it.py::test_{name}" for name in ("loads", "text", "other")}
+    assert found == {"loads": {"test_it.py::test_loads"}, "dumps": every}
+    only = Only(["test_it.py::test_other", "test_it.py::test_loads"])
+    run = pytester.inline_run("-p", "no:cacheprovider", plugins=[only])
+    assert [report.nodeid for report in run.getreports("pytest_runtest_logreport") if report.when == "call"] == [
+        "test_it.py::test_other",
+        "test_it.py::test_loads",
+    ]

@@ -24,6 +24,7 @@ from gri.training.grounded.settings import GroundedSettings
 from gri.training.optimisation import Bottleneck, Descent
 from gri.training.train import Objective, TrainConfig, Trained, train
 from gri.training.training_state import TrainingState, identity
+from tests.fuzz.other_inputs import good_state, read_state
 
 DATA = DataConfig(range="paper", graphs="one", train=12, validation=2, test=2, expert_updates=1)
 GROUNDED = GroundedSettings(
@@ -153,3 +154,17 @@ def test_nothing_is_written_without_a_place(tmp_path: Path, splits: Splits, monk
     assert "0.0.parameter.0" in load_file(tmp_path / "a.state")
     state.finish()
     assert not [*tmp_path.iterdir()]
+
+
+def test_a_flipped_bit_in_a_state_is_refused(tmp_path: Path):
+    """It would go on with another number otherwise."""
+    (content,) = good_state()
+    path = tmp_path / "state"
+    for bit in range(0, 8 * len(content), 97):
+        changed = bytearray(content)
+        changed[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(changed)
+        with pytest.raises(InputError, match="remove it to begin anew"):
+            read_state(path)
+    path.write_bytes(content)
+    read_state(path)
