@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from cosim.commands.arguments import FEWER_THAN_ASKED, MaxWorkOption, ScenarioArgument, SetOption
+from cosim.commands.arguments import FEWER_THAN_ASKED, AllowCodeOption, MaxWorkOption, ScenarioArgument, SetOption
 from gri.terminal import ProgressDisplay, console, finite, next_command, notice, say
 
 
@@ -18,8 +18,8 @@ def stress(
         str,
         typer.Option(
             help="Policies, separated by commas: idm, constant_velocity, sumo, gri (the scenario's checkpoint),"
-            " supervised, names and paths of checkpoints, or reference drivers (r157, careful_human, fsm, rss). With"
-            " +rss at the end, such as gri+rss: with the safety filter."
+            " supervised, own (the scenario's policy of kind: python), names and paths of checkpoints, or reference"
+            " drivers (r157, careful_human, fsm, rss). With +rss at the end, such as gri+rss: with the safety filter."
         ),
     ] = "gri,idm,sumo",
     perturbation: Annotated[
@@ -67,13 +67,17 @@ def stress(
     out: Annotated[Path | None, typer.Option(help="Folder of the results; default: runs/stress/SCENARIO.")] = None,
     settings: SetOption = None,
     max_work: MaxWorkOption = None,
+    allow_code: AllowCodeOption = False,
 ) -> None:
     """Compare policies on the same groups under perturbations.
 
     Every policy drives the same groups at every intensity of every perturbation.
     The same command continues a stress test that was stopped.
     """
-    from cosim.spec.loading import load_scenario
+    import msgspec
+
+    from cosim.spec.input_files import refuse_foreign_code
+    from cosim.spec.loading import find_file, load_scenario
 
     chosen = load_scenario(scenario, max_work=max_work, settings=settings or ())  # mistakes need not wait for torch
     grades = _numbers(intensity)
@@ -84,6 +88,10 @@ def stress(
         for kind, reason in senseless(chosen).items():
             notice(f"left out: {kind}, because {reason}")
     policies = policies_of(_words(policy), chosen)
+    if "own" in {name.partition("+")[0] for name in policies}:
+        refuse_foreign_code(
+            msgspec.to_builtins(chosen.policy), find_file(scenario, "scenarios", "scenario"), allow_code
+        )
     from cosim.show.stress_page import write_stress_page
     from cosim.stress.stress_test import fewer_starts, publish, run_stress
     from cosim.stress.until_decided import STARTS_PER_SEED, contest_of, run_until_decided, sentence

@@ -63,19 +63,23 @@ def input_files(scenario: Scenario) -> dict[str, Path]:
         files |= {what: path for what, path in own.items() if what != "net"}
         if scenario.traffic.sumocfg:
             files["sumocfg"] = Path(scenario.traffic.sumocfg)
-    files |= _files_of(scenario.policy, "")
+    files |= files_of_policy(scenario.policy, "")
     for name, part in scenario.shares.items():
-        files |= _files_of(part.policy, f".{name}")
+        files |= files_of_policy(part.policy, f".{name}")
     if isinstance(scenario.background, Replay):
         files["recording"] = recording_path(scenario.background)
     return files
 
 
-def _files_of(policy: Driver, name: str) -> dict[str, Path]:
-    """The checkpoint or the source file of a policy."""
+def files_of_policy(policy: Driver, name: str = "") -> dict[str, Path]:
+    """The checkpoint of a policy, or the source file of one's own and the files that its settings name."""
     if isinstance(policy, TrainedPolicy):
         return {f"checkpoint{name}": checkpoint_path(policy.checkpoint)}
-    return {f"policy{name}": source_path(policy)} if isinstance(policy, UserPolicy) else {}
+    if not isinstance(policy, UserPolicy):
+        return {}
+    texts = {key: Path(value) for key, value in policy.settings.items() if isinstance(value, str)}
+    named = {f"policy{name}.{key}": path for key, path in texts.items() if is_file(path)}
+    return {f"policy{name}": source_path(policy)} | named
 
 
 def recording_path(background: Replay) -> Path:

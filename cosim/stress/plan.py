@@ -16,7 +16,7 @@ from msgspec.structs import replace
 
 from cosim.perturb.traffic_demand import perturbed_traffic
 from cosim.spec.demand import Traffic
-from cosim.spec.input_files import checkpoint_path, find_net, sha256
+from cosim.spec.input_files import checkpoint_path, files_of_policy, find_net, sha256
 from cosim.spec.loading import override
 from cosim.spec.perturbations import CHANGES_DEMAND, KINDS, RENAMED
 from cosim.spec.scenario import (
@@ -35,6 +35,8 @@ from cosim.spec.scenario import (
     RssFilter,
     Scenario,
     TrainedPolicy,
+    UserPolicy,
+    tag_of,
 )
 from gri.errors import InputError
 
@@ -58,6 +60,8 @@ BASELINES: dict[str, Driver] = {
     "rss": Rss(),
     "sumo": LeftToSumo(),
 }
+OWN = "own"
+"""The name of the policy of a scenario that names code (`kind: python`)."""
 FILTERED, PREDICTING = "rss", "predict"  # with a + after the name of a policy: the safety filter, the state predictor
 
 
@@ -93,6 +97,8 @@ class Chunk(Struct, frozen=True):
             "checkpoints": {name: sha256(checkpoint_path(file)) for name, file in used.items()},
             "versions": {name: version(name) for name in PACKAGES},
         }
+        if own := [driver for driver in self.policies.values() if isinstance(driver, UserPolicy)]:
+            facts["code"] = [{what: sha256(path) for what, path in files_of_policy(one).items()} for one in own]
         return hashlib.sha256(msgspec.json.encode(facts, order="sorted")).hexdigest()[:12]
 
     @property
@@ -244,9 +250,10 @@ def _levels(intensities: tuple[float, ...], levels: int | None) -> tuple[float, 
 def policies_of(names: Sequence[str], scenario: Scenario) -> dict[str, Driver]:
     """The policies by name: a baseline, a released checkpoint, or the path of a checkpoint.
 
-    `gri` is the checkpoint C that the scenario names; another word W, such as `supervised`, is the checkpoint "C_W" if
-    there is one. Names with additions, such as `gri+predict+rss`, are rows of their own (`scenario_for`). Raises
-    `InputError` for an unknown checkpoint, an addition that makes no sense, or a name given twice.
+    `own` is the policy of a scenario that names code. `gri` is the checkpoint C that the scenario names; another word
+    W, such as `supervised`, is the checkpoint "C_W" if there is one. Names with additions, such as `gri+predict+rss`,
+    are rows of their own (`scenario_for`). Raises `InputError` for an unknown checkpoint, an addition that makes no
+    sense, or a name given twice.
     """
     found: dict[str, Driver] = {}
     for whole in names:
@@ -257,6 +264,14 @@ def policies_of(names: Sequence[str], scenario: Scenario) -> dict[str, Driver]:
             )
         if name in BASELINES:
             found[whole] = BASELINES[name]
+            continue
+        if name == OWN:
+            if not isinstance(scenario.policy, UserPolicy):
+                raise InputError(
+                    f"--policy: got {whole}, but the policy of the scenario is {tag_of(scenario.policy)}; write that,"
+                    " or give a scenario with policy: {kind: python, ...}"
+                )
+            found[whole] = scenario.policy
             continue
         candidates = [name]
         if isinstance(scenario.policy, TrainedPolicy):

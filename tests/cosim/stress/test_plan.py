@@ -5,7 +5,7 @@ from msgspec.structs import replace
 
 from cosim.spec.loading import load_scenario
 from cosim.spec.perturbations import KINDS, HeadwayRatio
-from cosim.spec.scenario import ConstantVelocity, Idm, LeftToSumo, Replay, RssFilter, TrainedPolicy
+from cosim.spec.scenario import ConstantVelocity, Idm, LeftToSumo, Replay, RssFilter, TrainedPolicy, UserPolicy
 from cosim.stress.plan import Cell, chunks, perturbed_scenario, policies_of, scenario_for, senseless, sweeps_of
 from gri.errors import InputError
 from gri.resources import find_checkpoint
@@ -159,6 +159,21 @@ def test_additions_to_names_change_the_scenario(scenario):
     for name in ("sumo+rss", "sumo+predict"):
         with pytest.raises(InputError, match="write sumo"):
             policies_of([name], scenario)
+
+
+def test_a_policy_of_ones_own_counts_with_the_files_of_its_settings(scenario, tmp_path):
+    (tmp_path / "mine.py").write_text("class Mine: ...")
+    (tmp_path / "net.npz").write_text("weights")
+    settings = {"file": str(tmp_path / "net.npz"), "gain": 2}
+    own = replace(scenario, policy=UserPolicy(object=f"{tmp_path / 'mine.py'}:Mine", settings=settings))
+    found = policies_of(["own", "idm"], own)
+    assert found == {"own": own.policy, "idm": Idm()}
+    (chunk,) = chunks(own, {"own": own.policy}, {}, 2)
+    before = chunk.key
+    (tmp_path / "net.npz").write_text("other weights")
+    assert chunk.key != before
+    with pytest.raises(InputError, match="the policy of the scenario is gri"):
+        policies_of(["own"], scenario)
 
 
 def test_bad_policies(scenario):
