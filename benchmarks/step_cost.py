@@ -42,12 +42,13 @@ def driven(running: RunningSimulation, start: RoundStart) -> tuple[float, int]:
     return time.process_time() - began, len(episodes[0].time) - len(start.observations)
 
 
-def bare(running: RunningSimulation, steps: int) -> float:
-    """CPU seconds per step of SUMO alone."""
-    began = time.process_time()
+def bare(running: RunningSimulation, steps: int) -> list[float]:
+    """CPU seconds of SUMO alone from the start until each step."""
+    began, spent = time.process_time(), []
     for _ in range(steps):
         running.world.step()
-    return (time.process_time() - began) / steps
+        spent.append(time.process_time() - began)
+    return spent
 
 
 def compare(
@@ -62,7 +63,7 @@ def compare(
         both = lambda: driven(running, start), lambda: bare(running, this_round.driven_steps)  # noqa: B023
         (cost, steps), spent = side_by_side(running.world, TURN, *both)
         together.append((ready + cost) / steps)
-        alone.append(spent)
+        alone.append(spent[steps - 1] / steps)  # the same steps: the first ones in a branch copy its memory
     ratio = statistics.median(whole / step for whole, step in zip(together, alone, strict=True))
     return statistics.median(alone), statistics.median(together), ratio
 
