@@ -89,6 +89,14 @@ def test_a_damaged_record_of_a_failure_counts_as_none(store):
     assert store.failures() == {}
 
 
+def test_a_run_that_is_finished_after_all_has_failed_no_more(store):
+    with store.opened(RUNS | {"rc"}, pytest.fail):
+        store.fail("rc", {"run": "rc", "labels": {}, "attempts": []})
+        store.finish("rc", finished_run(store.attempt_folder("rc", 1)))
+    assert store.failures() == {}
+    assert store.finished() == RUNS | {"rc"}
+
+
 def test_a_damaged_manifest_is_refused(store):
     store.write_manifest({"runs": [], "batch": {}, "file": "a.yaml"})
     assert store.manifest()["file"] == "a.yaml"

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from cosim.measures.statistics import corrected, mean, median, paired_difference, share
+from cosim.measures.statistics import LEVEL, Estimate, PairedTest, corrected, mean, median, paired_difference, share
 
 REPEATS = 400
 NORMAL = stats.norm.ppf(0.975)
@@ -198,3 +198,15 @@ def test_correction_keeps_false_discoveries_rare(rng):
 @pytest.fixture
 def rng() -> np.random.Generator:
     return np.random.default_rng(20240607)
+
+
+def test_no_starts_are_no_data_and_no_error():
+    found = mean(np.empty(0), np.empty(0))
+    assert np.isnan([found.value, found.low, found.high]).all()
+    assert (found.n, found.clusters) == (0, 0)
+
+
+def test_a_p_value_at_the_level_is_not_below_it():
+    difference = Estimate(1.0, 0.5, 1.5, 9, 9)
+    assert not PairedTest(difference, 0.01, 1 - LEVEL).significant
+    assert PairedTest(difference, 0.01, np.nextafter(1 - LEVEL, 0)).significant

@@ -73,3 +73,23 @@ def test_where_nothing_can_be_written_nothing_can_be_claimed(tmp_path):
     for claim in (claimed_folder, claimed_place):
         with pytest.raises(InputError, match=re.escape(f"cannot write to {tmp_path}/file/run: ")):
             claim(tmp_path / "file/run").__enter__()
+
+
+@pytest.mark.parametrize(
+    ("words", "command"),
+    [(["/x/cosim/__main__.py", "run", "a.yaml"], "cosim run"), (["/bin/gri", "train", "a"], "gri train"), (["x"], "x")],
+)
+def test_a_claim_says_which_command_holds_it(tmp_path, monkeypatch, words, command):
+    monkeypatch.setattr(sys, "argv", words)
+    with claimed_folder(tmp_path):
+        assert json.loads((tmp_path / ".lock").read_text())["command"] == command
+
+
+@pytest.mark.skipif(not os.path.isdir("/proc/self/fd"), reason="needs /proc")
+def test_refused_claims_leave_no_descriptor_open(tmp_path):
+    with claimed_folder(tmp_path):
+        before = len(os.listdir("/proc/self/fd"))
+        for _ in range(5):
+            with pytest.raises(InputError), claimed_folder(tmp_path):
+                pass
+        assert len(os.listdir("/proc/self/fd")) == before

@@ -53,3 +53,11 @@ def test_names_as_long_as_the_system_allows_can_be_written(tmp_path):
     path = tmp_path / ("ü" * 127)
     write_whole(path, b"x")
     assert path.read_bytes() == b"x"
+
+
+@pytest.mark.skipif(not os.path.isdir("/proc/self/fd"), reason="needs /proc")
+def test_no_descriptor_stays_open(tmp_path):
+    before = len(os.listdir("/proc/self/fd"))
+    for _ in range(5):
+        write_whole(tmp_path / "a", "text")
+    assert len(os.listdir("/proc/self/fd")) == before
