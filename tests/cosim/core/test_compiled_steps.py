@@ -31,11 +31,17 @@ CAR_FOLLOWING, MERGE = "us101_car_following", "us101_merge"
 
 
 @pytest.fixture(scope="module", autouse=True)
-def _built():
-    try:
-        build_core()
-    except InputError as error:
-        pytest.skip(f"no compiled core: {error}")
+def _built(tmp_path_factory):
+    """A core of these tests' own: what people have built, or not, stays as it is."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        try:
+            build_core()
+        except InputError as error:
+            pytest.skip(f"no compiled core: {error}")
+        yield
+    core_status.cache_clear()
+    library.cache_clear()
 
 
 def differences(one: object, other: object, path: str = "") -> list[str]:
