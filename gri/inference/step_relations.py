@@ -149,7 +149,8 @@ def by_merge_posterior(
 
     def seen(until: int) -> Float[Tensor, "S T E K"]:
         state = found.trajectory.state[:, :, : until + 1]
-        return relations(motion_of(state, width, dt, found.length), constants)
+        motion = motion_of(state, width, dt, found.length, unfinished=online)
+        return relations(motion, constants, unfinished=online)
 
     def last(done: int, until: int) -> Float[Tensor, "S E K"]:
         progress(f"inferred steps of {kind}", done, len(at), 0.0)

@@ -10,6 +10,7 @@ NOMINAL_LENGTH = 5.0  # [m], of vehicles whose length is not known
 STRAIGHTEST = 1.875  # greatest lateral speed of a path of least jerk, in widths per duration
 LEAST_CHANGE = 1.0  # [m] sideways, of a lane change
 SLOWEST_CHANGE = 0.03  # widths per step
+BEGUN = 0.05  # widths from the centre of its lane, from which a vehicle may be changing lanes
 
 
 @dataclass(frozen=True)
@@ -57,12 +58,14 @@ def motion_of(
     lane_width: float | Float[Tensor, " S"],
     dt: float,
     length: Float[Tensor, "S N"] | None = None,
+    unfinished: bool = False,
 ) -> MergeMotion:
     """The motion in states whose first features are x, y and v [m, m/s].
 
     Args:
         lane_width: distance between the centres of two lanes [m].
         length: of the vehicles [m]; 0 where not known.
+        unfinished: whether a vehicle on its way to the line in the last step is taken to change lanes.
 
     Raises:
         ValueError: numbers that are not finite, or fewer than three steps.
@@ -80,7 +83,7 @@ def motion_of(
         x=x,
         v=v,
         a=torch.cat([a, a[..., -1:]], -1),
-        lane=lane_numbers(y, lane_width),
+        lane=lane_numbers(y, lane_width, unfinished),
         length=torch.where(known > 0, known, NOMINAL_LENGTH),
         dt=dt,
     )
@@ -99,12 +102,15 @@ def lane_width_of(state: Float[Tensor, "S N T D"]) -> float:
     return float(sideways[sideways > LEAST_CHANGE].median())
 
 
-def lane_numbers(y: Float[Tensor, "S N T"], lane_width: float | Float[Tensor, " S"]) -> Float[Tensor, "S N T"]:
+def lane_numbers(
+    y: Float[Tensor, "S N T"], lane_width: float | Float[Tensor, " S"], unfinished: bool = False
+) -> Float[Tensor, "S N T"]:
     """Numbers of the lanes, counted to the left from the last vehicle's first lane.
 
     A lane change is taken for a path of least jerk: it begins half its duration before the line is crossed, and the
     duration is 1.875 widths over the greatest lateral speed. So the beginning is found without a threshold on small
-    lateral movements, also in noise.
+    lateral movements, also in noise. An `unfinished` one has not reached the line in the last step: then the place and
+    the speed there say where on such a path a vehicle is.
     """
     width = torch.as_tensor(lane_width, dtype=y.dtype)
     across = (y - y[:, -1:, :1]) / (width[:, None, None] if width.ndim else width)
@@ -117,4 +123,22 @@ def lane_numbers(y: Float[Tensor, "S N T"], lane_width: float | Float[Tensor, " 
         speed = max(float((near[1:] - near[:-1]).abs().max()), SLOWEST_CHANGE)
         begin = round(crossing - STRAIGHTEST / speed / 2)
         lane[scene, vehicle, max(begin + 1, 0) : t + 1] = path[t + 1].round()
+    return _with_changes_begun(lane, across) if unfinished else lane
+
+
+def _with_changes_begun(lane: Float[Tensor, "S N T"], across: Float[Tensor, "S N T"]) -> Float[Tensor, "S N T"]:
+    """The lanes with those changes that have begun in the last step but have not reached the line.
+
+    On a path of least jerk over the duration D, s = 10u³ − 15u⁴ + 6u⁵ widths are behind after the share u of it, at the
+    speed 30u²(1 − u)²/D.
+    """
+    u = torch.linspace(0, 0.5, 101, dtype=across.dtype)
+    done = 10 * u**3 - 15 * u**4 + 6 * u**5
+    offset, speed = across[..., -1] - lane[..., -1], across[..., -1] - across[..., -2]
+    share = u[torch.searchsorted(done, offset.abs().contiguous()).clamp(max=len(u) - 1)]
+    duration = 30 * share**2 * (1 - share) ** 2 / speed.abs().clamp(min=1e-9)
+    begun = (offset * speed > 0) & (offset.abs() > BEGUN) & (duration < STRAIGHTEST / SLOWEST_CHANGE)
+    for scene, vehicle in torch.nonzero(begun).tolist():
+        ago = int((share * duration)[scene, vehicle].round())
+        lane[scene, vehicle, max(lane.shape[-1] - ago, 0) :] += offset[scene, vehicle].sign()
     return lane

@@ -74,15 +74,24 @@ def relations_per_step(
 
 @torch.no_grad()
 def relations(
-    motion: MergeMotion, constants: Mapping[str, float] = CONSTANTS, terms: Terms = ALL_TERMS
+    motion: MergeMotion,
+    constants: Mapping[str, float] = CONSTANTS,
+    terms: Terms = ALL_TERMS,
+    unfinished: bool = False,
 ) -> Float[Tensor, "S T E K"]:
-    """As `relations_per_step`, from motion."""
+    """As `relations_per_step`, from motion; an `unfinished` one goes on after the last step.
+
+    Then nobody knows yet how the lag vehicle reacts to a lane change. It counts as a cut-in if its driver would have to
+    brake as a follower.
+    """
     values = {name: torch.tensor(value, dtype=torch.float64) for name, value in constants.items()}
-    found = [_relations(motion[start : start + AT_ONCE], values, terms) for start in range(0, len(motion), AT_ONCE)]
-    return torch.cat(found)
+    parts = [motion[start : start + AT_ONCE] for start in range(0, len(motion), AT_ONCE)]
+    return torch.cat([_relations(part, values, terms, unfinished) for part in parts])
 
 
-def _relations(motion: MergeMotion, c: Mapping[str, Tensor], terms: Terms) -> Float[Tensor, "S T E K"]:
+def _relations(
+    motion: MergeMotion, c: Mapping[str, Tensor], terms: Terms, unfinished: bool
+) -> Float[Tensor, "S T E K"]:
     likelihood, prior = explain(motion, c, terms)
     chain = smooth(likelihood, prior, terms.stay)
     drivers = Driver(chain.marginals, chain.evidence.softmax(-1))
@@ -93,7 +102,7 @@ def _relations(motion: MergeMotion, c: Mapping[str, Tensor], terms: Terms) -> Fl
         found[:, :, edge, FOLLOWS] = mean[:, j, :, FOLLOW + i]
         found[:, :, edge, YIELDS] = mean[:, j, :, FOLLOW + n + i]
         if j == MERGER:
-            cuts_in = _cut_in(motion, i, drivers, c, terms)
+            cuts_in = _cut_in(motion, i, drivers, c, terms, unfinished)
             found[:, :, edge] *= 1 - cuts_in[..., None]
             found[:, :, edge, CUTS_IN] = cuts_in
     found[..., NONE] = (1 - found[..., 1:].sum(-1)).clamp(min=0)
@@ -101,12 +110,13 @@ def _relations(motion: MergeMotion, c: Mapping[str, Tensor], terms: Terms) -> Fl
 
 
 def _cut_in(
-    motion: MergeMotion, lag: int, drivers: Driver, c: Mapping[str, Tensor], terms: Terms
+    motion: MergeMotion, lag: int, drivers: Driver, c: Mapping[str, Tensor], terms: Terms, unfinished: bool
 ) -> Float[Tensor, "S T"]:
     """P(the merging vehicle cuts in on `lag`): within 2 s of its lane change, `lag` follows it and pays for that."""
     goal = following_goal(motion, lag, MERGER, c, driver_grid(terms))
     effect = goal.clamp(max=c["acceleration"]).maximum(-c["braking"]) - c["acceleration"]
-    pays = drivers.explanation[:, lag, :, :, FOLLOW + MERGER] * (effect < CUT_IN_EFFECT)
+    follows = torch.ones_like(effect) if unfinished else drivers.explanation[:, lag, :, :, FOLLOW + MERGER]
+    pays = follows * (effect < CUT_IN_EFFECT)
     p = torch.einsum("sgt,sg->st", pays, drivers.weight[:, lag])
     behind = (motion.x[:, MERGER] > motion.x[:, lag]) & motion.same_lane(MERGER, lag)
     if not terms.derived_cut_in:

@@ -81,6 +81,38 @@ def test_a_lane_change_counts_from_its_beginning(merges):
     assert (begin - CHANGE).abs().max() <= 3
 
 
+def test_a_lane_change_that_goes_on_is_seen_before_the_line_is_crossed(merges):
+    y = merges[..., 1]
+    for last in range(3, STEPS):
+        seen = lane_numbers(y[..., : last + 1], WIDTH, unfinished=True)
+        begin = torch.where((seen[:, 0] == 0).any(-1), (seen[:, 0] == 0).int().argmax(-1), STEPS)
+        if last < CHANGE:
+            assert (begin == STEPS).all()
+        elif last >= CHANGE + 3:  # a fifth of the way; the line is crossed 4 steps later
+            assert (begin - CHANGE).abs().max() <= 1
+        assert (lane_numbers(y[..., : last + 1], WIDTH)[:, 0] == 0).any() == (last >= CHANGE + 7)
+
+
+def test_who_wavers_in_its_lane_does_not_change_it(merges):
+    y = merges[..., 1].clone()
+    y[:, 0] = -WIDTH + 0.15 * torch.sin(0.5 * torch.arange(STEPS, dtype=y.dtype))
+    for last in range(3, STEPS):
+        assert (lane_numbers(y[..., : last + 1], WIDTH, unfinished=True)[:, 0] == -1).all()
+
+
+def test_a_change_that_goes_on_is_a_cut_in_for_who_will_have_to_brake(merges):
+    last = CHANGE + 3  # a cut-in lasts 1 s from the first lateral motion on
+    near = merges[:, :, : last + 1].clone()
+    near[:, 1, :, 0] += near[:, 0, -1:, 0] - 10.0 - near[:, 1, -1:, 0]
+    far = near.clone()
+    far[:, 1, :, 0] -= 60.0
+    for state, least, most in ((near, 0.9, 1.1), (far, 0.0, 0.1)):
+        found = relations(motion_of(state, WIDTH, DT, unfinished=True), TRUE, unfinished=True)
+        assert least <= found[:, -1, edge(1, 0), CUT_IN].min()
+        assert found[:, -1, edge(1, 0), CUT_IN].max() <= most
+    assert relations(motion_of(near, WIDTH, DT), TRUE)[:, -1, edge(1, 0), CUT_IN].max() == 0
+
+
 def test_it_finds_who_is_followed_before_and_after_the_change(merges):
     found = relations_per_step(merges, WIDTH, DT, constants=TRUE)
     assert torch.allclose(found.sum(-1), torch.ones_like(found[..., 0]))
