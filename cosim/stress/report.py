@@ -32,6 +32,7 @@ background traffic. They count until 10 s after the hand-back.
 all counts. docs/stress.md describes the measures and the perturbations.
 """
 OUTCOME_HEADING = "### Outcome\n"
+FILTER_HEADING = "### Safety filter\n"
 SAFETY_HEADING = "### Safety and comfort\n"
 PAIRED = """\
 ### Differences
@@ -77,6 +78,8 @@ def stress_report(
         parts += [f"![{_alternative(kind)}](figures/{name}.png)\n" for name in _figures_of(kind, figures)]
         cells = counts[counts["perturbation"].isin(shown)]
         parts += [*filter(None, [_infeasible(cells)]), OUTCOME_HEADING, _outcome_table(cells, known)]
+        if len(filtered := cells[cells["filter"].ne("")]):
+            parts += [FILTER_HEADING, _filter_table(filtered)]
         parts += [] if preventable is None else [*filter(None, [preventable_text(preventable, shown)])]
         parts += [SAFETY_HEADING, _safety_table(cells, known)]
         if len(differences):
@@ -109,19 +112,24 @@ def _unit(unit: str) -> str:
 def _outcome_table(rows: pd.DataFrame, known: Known) -> str:
     """The three facts over all feasible starts, who broke up groups, and who ran into whom."""
     facts = [_BY_NAME[name] for name in ("completed_without_contact", "contact", "order_kept")]
-    filtered = rows["filter"].ne("").any()
     head = ["intensity", "policy", "starts", *map(_title, facts), "broken up by", "contacts"]
-    head += ["filter: along, across, hardest"] if filtered else []
     lines = [
         [
             *(_intensity(row), row["policy"], str(row["starts"] - row["infeasible"])),
             *(_value(known.get((*_key(row), fact.name)), fact) for fact in facts),
             *(row["broken_up"] or "-", row["hits"] or "-"),
-            *([row["filter"] or "-"] if filtered else []),
         ]
         for _, row in rows.iterrows()
     ]
     return markdown_table(head, lines)
+
+
+def _filter_table(rows: pd.DataFrame) -> str:
+    """How often and how hard the safety filter intervened."""
+    lines = [[_intensity(row), row["policy"], *row["filter"].split(", ")] for _, row in rows.iterrows()]
+    return markdown_table(
+        ["intensity", "policy", "steps with less acceleration", "steps with less steering", "hardest braking"], lines
+    )
 
 
 def _safety_table(rows: pd.DataFrame, known: Known) -> str:

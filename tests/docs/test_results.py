@@ -6,12 +6,10 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from cosim.world.outcome_columns import with_outcome_columns
-
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 IMAGE = re.compile(r"!\[([^\]]*)\]\(([^()\s]+)\)")
-STRESS = ["stress_us101_car_following", "stress_us101_merge", "stress_i80_merge"]
+STRESS = ["stress_us101_merge", "stress_i80_merge"]
 HAND_WRITTEN = [
     path
     for path in sorted(DOCS.glob("**/*.md"))
@@ -57,28 +55,10 @@ def test_pages_are_short(page):
 
 
 @pytest.mark.parametrize("name", STRESS)
-def test_the_table_of_a_stress_page_is_what_the_rows_say(name):
-    """Cells are "completed without contact (contact)" in percent of the feasible starts."""
-    rows = pd.read_parquet(DOCS / f"results/{name}/episodes.parquet")
-    rows = rows[rows["infeasible"] == ""]
-    table = re.search(r"^\| perturbation \|.*\n(?:\|.*\n)+", (DOCS / f"results/{name}/README.md").read_text(), re.M)
-    assert table is not None
-    head, _, *lines = ([cell.strip() for cell in line.strip("|").split("|")] for line in table[0].splitlines())
-    assert len(lines) >= 10
-    for label, *cells in lines:
-        kind, _, intensity = label.replace("`", "").partition(" ")
-        graded = rows["intensity"].eq(float(intensity)) if intensity else rows["intensity"].isna()
-        for policy, cell in zip(head[1:], cells, strict=True):
-            found = rows[(rows["perturbation"] == kind) & graded & (rows["policy"] == policy)]
-            completed, contact = found["ending"].isin(["merged", "horizon"]), found["contact"].astype(bool)
-            assert cell == f"{100 * completed.mean():.0f} ({100 * contact.mean():.0f})", f"{label}, {policy}"
-
-
-@pytest.mark.parametrize("name", STRESS)
 def test_every_outcome_of_a_stress_page_is_what_the_rows_say(name):
     """All cells "completed without contact", "contact" and "order kept" of stress.md, and its tables' widths."""
     folder = DOCS / f"results/{name}"
-    rows = with_outcome_columns(pd.read_parquet(folder / "episodes.parquet"))
+    rows = pd.read_parquet(folder / "episodes.parquet")
     rows = rows[rows["infeasible"] == ""]
     sections = re.split(r"^## ", (folder / "stress.md").read_text(), flags=re.MULTILINE)[1:]
     checked = 0
@@ -99,4 +79,4 @@ def test_every_outcome_of_a_stress_page_is_what_the_rows_say(name):
             wanted = [f"{100 * part[fact].astype(bool).mean():.0f}" if len(part) else "-" for fact in facts]
             assert [cell.split()[0] for cell in cells[3:6]] == wanted, line
             checked += 1
-    assert checked > 50
+    assert checked == 3 * 2 * 7, "kinds × (nominal and one intensity) × policies"

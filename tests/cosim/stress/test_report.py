@@ -9,18 +9,20 @@ import pytest
 from cosim.stress import estimates
 from cosim.stress.figures import CURVES, _parts, curves
 from cosim.stress.report import _value, stress_report
-from cosim.world.outcome_columns import with_outcome_columns
 
 RELEASED = Path(__file__).parents[3] / "docs/results"
 
 
 @pytest.fixture(scope="module")
 def rows() -> pd.DataFrame:
-    """Some rows of a released stress test: undisturbed, and two intensities of a braking leader."""
+    """Rows of a released stress test: undisturbed, and a braking leader; rows of other kinds stand for braking less."""
     rows = pd.read_parquet(RELEASED / "stress_us101_merge/episodes.parquet")
-    kept = rows["perturbation"].isin(["nominal", "leader_braking"]) & rows["policy"].isin(["gri", "sumo"])
-    chosen = rows[kept & ~rows["intensity"].isin([2.0, 6.0])]
-    return with_outcome_columns(chosen.rename(columns={"taken_at": "takeover_time"}))
+    rows = rows[rows["policy"].isin(["gri", "gri+rss", "sumo"])]
+    less = {"headway_ratio": 3.0, "perception_latency": 4.0}
+    return rows.assign(
+        perturbation=rows["perturbation"].replace(dict.fromkeys(less, "leader_braking")),
+        intensity=rows["perturbation"].map(less).fillna(rows["intensity"]),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -39,12 +41,13 @@ def test_every_table_has_at_most_eight_columns_and_as_many_cells_in_every_row(ta
         for block in re.split(r"\n\n", page)
         if block.startswith("|")
     ]
-    assert len(blocks) == 3
+    assert len(blocks) == 4
     for block in blocks:
         assert {len(cells(line)) for line in block} == {len(cells(block[0]))}
         assert len(cells(block[0])) <= 8
     assert cells(blocks[0][0])[3:6] == ["completed without contact [%]", "contact [%]", "order kept [%]"]
-    assert "\\|jerk\\|" in blocks[1][0]
+    assert {cells(line)[1] for line in blocks[1][2:]} == {"gri+rss"}
+    assert "\\|jerk\\|" in blocks[2][0]
     assert page.count("](figures/leader_braking") == 2
 
 
@@ -70,5 +73,5 @@ def test_policies_of_a_figure_differ_in_marker_and_line_style(tables):
     assert len({style["marker"] for style in CURVES}) == len({str(style["ls"]) for style in CURVES}) == 5
     figure = curves(tables[1], "leader_braking", lane_changes=True)
     lines = [line for line in figure.axes[0].lines if not str(line.get_label()).startswith("_")]
-    assert [(line.get_marker(), line.get_linestyle()) for line in lines] == [("o", "-"), ("s", "--")]
+    assert [(line.get_marker(), line.get_linestyle()) for line in lines] == [("o", "-"), ("s", "--"), ("^", ":")]
     assert "completed without contact" in figure.axes[0].get_ylabel()
