@@ -77,15 +77,23 @@ def curves(estimates: pd.DataFrame, kind: str, *, lane_changes: bool = False) ->
             axis.set_xlabel(f"intensity {spec.symbol} [{spec.unit}]" if spec.unit else f"intensity {spec.symbol}")
         handles, labels = axes[0][0].get_legend_handles_labels()
         figure.legend(handles, labels, loc="outside lower center", ncol=len(labels), frameon=False)
-        figure.suptitle(
-            f"{kind.replace('_', ' ')} (bands: 95 % intervals; hollow markers: without perturbation)", x=0.01, ha="left"
-        )
+        shown = "bands" if _intensities(estimates, kind) > 1 else "bars"
+        title = f"{kind.replace('_', ' ')} ({shown}: 95 % intervals; hollow markers: without perturbation)"
+        figure.suptitle(title, x=0.01, ha="left")
     return figure
+
+
+def _intensities(estimates: pd.DataFrame, kind: str) -> int:
+    return estimates.loc[estimates["perturbation"] == kind, "intensity"].nunique()
 
 
 def _panel(axis: Axes, part: pd.DataFrame, kind: str, measure: Measure) -> None:
     scale = 100.0 if measure.share else 1.0
     neutral = None if kind in TRAFFIC_KINDS else KINDS[kind].neutral
+    if _intensities(part, kind) == 1:
+        _points(axis, part, kind, scale, neutral)
+        _scale(axis, measure)
+        return
     for k, policy in enumerate(dict.fromkeys(part["policy"])):
         mine = part[part["policy"] == policy]
         line = mine[mine["perturbation"] == kind].sort_values("intensity")
@@ -96,6 +104,28 @@ def _panel(axis: Axes, part: pd.DataFrame, kind: str, measure: Measure) -> None:
         nominal = mine[mine["perturbation"] == NOMINAL]
         if neutral is not None and len(nominal):
             axis.plot(neutral, scale * nominal["value"].iloc[0], marker=marker, ms=5, mfc="white", color=colour)
+    _scale(axis, measure)
+
+
+def _points(axis: Axes, part: pd.DataFrame, kind: str, scale: float, neutral: float | None) -> None:
+    """A single intensity: each policy's value with its interval, side by side, and the undisturbed ones."""
+    cells = {} if neutral is None else {neutral: part[part["perturbation"] == NOMINAL]}
+    disturbed = part[part["perturbation"] == kind]
+    intensity = float(disturbed["intensity"].iloc[0])
+    cells[intensity] = disturbed
+    apart = 0.06 * (abs(intensity - neutral) if neutral is not None else 1.0)
+    for k, policy in enumerate(dict.fromkeys(part["policy"])):
+        style: dict[str, Any] = CURVES[k] | {"ls": "", "ms": 5, "capsize": 2, "lw": 1.0}
+        for x, rows in cells.items():
+            for _, row in rows[rows["policy"] == policy].iterrows():
+                value, low, high = (scale * row[name] for name in ("value", "low", "high"))
+                bars = [[max(value - low, 0.0)], [max(high - value, 0.0)]]
+                named: dict[str, Any] = {"label": policy} if x == intensity else {"mfc": "white"}
+                axis.errorbar(x + apart * (k - 2), value, yerr=bars, **(style | named))
+    axis.set_xticks([*cells])
+
+
+def _scale(axis: Axes, measure: Measure) -> None:
     axis.set_ylabel(f"{measure.title} [{'%' if measure.share else measure.unit}]")
     if measure.share:
         axis.set_ylim(-3, 103)

@@ -75,3 +75,15 @@ def test_policies_of_a_figure_differ_in_marker_and_line_style(tables):
     lines = [line for line in figure.axes[0].lines if not str(line.get_label()).startswith("_")]
     assert [(line.get_marker(), line.get_linestyle()) for line in lines] == [("o", "-"), ("s", "--"), ("^", ":")]
     assert "completed without contact" in figure.axes[0].get_ylabel()
+
+
+def test_a_single_intensity_is_shown_with_bars_beside_the_undisturbed_one(tables):
+    few = tables[1][tables[1]["intensity"].isna() | (tables[1]["intensity"] == 8.0)]
+    figure = curves(few, "leader_braking", lane_changes=True)
+    bars = figure.axes[0].containers
+    assert len(bars) == 2 * 3, "undisturbed and 8 m/s² of three policies"
+    assert "bars" in figure.get_suptitle()
+    value = few[(few["measure"] == "completed_without_contact") & few["policy"].eq("gri")].set_index("perturbation")
+    for container, cell in zip(bars[:2], ("nominal", "leader_braking"), strict=True):
+        [[_, low], [_, high]] = container.lines[2][0].get_segments()[0]
+        assert [low, high] == pytest.approx((100 * value.loc[cell, ["low", "high"]].astype(float)).tolist())
