@@ -20,6 +20,14 @@ ROWS = {
     for cells in ([c.strip() for c in line.split("|")[1:-1]] for line in README.splitlines() if line.startswith("| "))
 }
 
+MERGES = {
+    "undisturbed": ("nominal", None),
+    "starts abreast of the leader": ("headway_ratio", 1.0),
+    "leader brakes at 8 m/s²": ("leader_braking", 8.0),
+    "others are seen 0.4 s late": ("perception_latency", 0.4),
+}
+MERGE_POLICIES = ["gri", "gri+rss", "supervised", "nri", "idm", "sumo", "constant_velocity"]
+
 
 def test_python_examples_run(monkeypatch):
     """With a stand-in for the run itself; tests/cosim/runs/test_run.py runs one."""
@@ -49,15 +57,11 @@ def test_the_gate_installs_as_the_readme_says():
 
 
 def test_the_merge_table_is_what_the_released_episodes_say():
-    conditions = {
-        "undisturbed": ("nominal", None),
-        "starts abreast of the leader": ("headway_ratio", 1.0),
-        "leader brakes at 8 m/s²": ("leader_braking", 8.0),
-        "policy sees positions 0.4 s late": ("latency", 0.4),
-    }
     folders = {"US-101": "stress_us101_merge", "I-80": "stress_i80_merge"}
     sites = {site: pd.read_parquet(RESULTS / folder / "episodes.parquet") for site, folder in folders.items()}
-    assert merge_table(sites, conditions, ["gri", "supervised", "nri", "idm", "sumo"]) in README
+    assert merge_table(sites, MERGES, MERGE_POLICIES) in README
+    for site, folder in folders.items():
+        assert merge_table({site: sites[site]}, MERGES, MERGE_POLICIES) in (RESULTS / folder / "README.md").read_text()
 
 
 def mean(table: pd.DataFrame, row: str, metric: str) -> float:
