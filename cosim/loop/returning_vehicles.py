@@ -24,7 +24,8 @@ class Return:
 
     `headway` is what it wants now, `own` what its driver wants in the end, `acceleration` [m/s²] is the driver's
     largest one, `a` [m/s²] the policy's last one. `checked` says whether SUMO's safe speed counts. `leader` is the
-    vehicle ahead that the headway was found for. `time` [s] counts from the hand-back.
+    vehicle ahead that the headway was found for. `must_leave` says whether its lane does not lead on. `time` [s] counts
+    from the hand-back.
     """
 
     own: Headway
@@ -33,6 +34,7 @@ class Return:
     drift: Drift
     a: float
     checked: bool
+    must_leave: bool = False
     leader: str = ""
     time: float = 0.0
 
@@ -56,9 +58,10 @@ class ReturningVehicles:
         own, acceleration = Headway(*drivers.headway(vehicle)), drivers.parameters(vehicle).acceleration
         drift = Drift(world.net.side * drivers.lane_offset(vehicle), lateral_speed)
         a = min(max(a, -plan.HARDEST_BRAKING), plan.HARDEST_BRAKING)
-        self._returns[vehicle] = Return(own, own, acceleration, drift, a, checked)
+        must_leave = drivers.way_in_lane(vehicle) < math.inf
+        self._returns[vehicle] = Return(own, own, acceleration, drift, a, checked, must_leave)
         world.begin_release(vehicle)
-        if drivers.must_change_lane(vehicle):
+        if must_leave:
             world.allow_lane_changes(vehicle)
 
     def stop(self, world: Sumo, vehicle: str, state: Stop) -> None:
@@ -98,6 +101,10 @@ class ReturningVehicles:
             return
         limit, required = drivers.allowed_speed(vehicle), plan.required_braking(v, ahead)
         wanted = plan.wanted_acceleration(v, limit, state.acceleration, headway, ahead)
+        if state.must_leave:  # SUMO's driver would brake for the end of its lane late and at once
+            end = Ahead(drivers.way_in_lane(vehicle), 0.0, 0.0)
+            for_the_end = plan.wanted_acceleration(v, limit, state.acceleration, Headway(0.0, plan.CLEARANCE), end)
+            wanted, required = min(wanted, for_the_end), max(required, plan.required_braking(v, end))
         a = plan.next_acceleration(state.a if state.time == 0 else float(now.a[row]), wanted, required, dt)
         speed, lateral = max(v + a * dt, 0.0), state.drift.at(time)
         world.set_headway(vehicle, headway.time, headway.gap)

@@ -1,5 +1,6 @@
 """The last seconds of traffic on a road section, as SUMO reports it."""
 
+import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -234,7 +235,7 @@ class TrajectoryBuffer:
         lanes, before, changes = self.section.lanes, self._lane_of, []
         now = dict(zip(driving.ids, driving.lane, strict=True))
         for vehicle in [vehicle for vehicle, lane in now.items() if before.get(vehicle) != lane]:
-            if self.world.drivers.must_change_lane(vehicle):
+            if self.world.drivers.way_in_lane(vehicle) < math.inf:
                 self._must_change.add(vehicle)
             else:
                 self._must_change.discard(vehicle)

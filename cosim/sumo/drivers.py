@@ -47,10 +47,16 @@ class Drivers:
         """State of a driver's lane-change model for one side in the last step, as bits of `LaneChange`."""
         return libsumo.vehicle.getLaneChangeState(vehicle, 1 if left else -1)[0]
 
-    def must_change_lane(self, vehicle: str) -> bool:
-        """Whether a vehicle must change its lane to follow its route; it depends on lane and route alone."""
-        own = libsumo.vehicle.getLaneID(vehicle)
-        return any(lane == own and offset != 0 for lane, _, _, offset, *_ in libsumo.vehicle.getBestLanes(vehicle))
+    def way_in_lane(self, vehicle: str) -> float:
+        """The way [m] that a vehicle can go before it must change lanes to follow its route; infinite where it need not.
+
+        The number of lanes to change depends on lane and route alone (SUMO's documentation of `getBestLanes`).
+        """
+        own, at = libsumo.vehicle.getLaneID(vehicle), libsumo.vehicle.getLanePosition(vehicle)
+        for lane, length, _, offset, *_ in libsumo.vehicle.getBestLanes(vehicle):
+            if lane == own and offset != 0:
+                return length - at
+        return math.inf
 
     def speeds(self, vehicles: Sequence[str]) -> list[float]:
         """Speed [m/s] of each vehicle, nan where it left the simulation."""
