@@ -5,8 +5,10 @@ All random numbers are drawn in advance, from the scenario's seed and the names 
 the same noise. Every channel remembers what went in and what came out, from which its effect is measured.
 """
 
+import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from zlib import crc32
 
 import numpy as np
@@ -159,11 +161,12 @@ class SensingAndControl:
 
     Each of the `views` is what one driven vehicle, or all of them together (a single view), observe of the group.
     `known[view, role, feature]` is known without observing it. `view_of[role]` is the view by which a role is driven.
-    A `predictor` makes up for latencies.
+    A `predictor` makes up for late and lost states; `clock` shows at which step they were true.
     """
 
     dynamics: Dynamics
     observation: Channel = field(default_factory=Channel)
+    clock: Channel = field(default_factory=Channel)
     action: Channel = field(default_factory=Channel)
     known: Bool[Tensor, "E N D"] | None = None
     view_of: tuple[int, ...] = (0,) * USUAL_SIZE
@@ -184,12 +187,17 @@ class SensingAndControl:
     def observed(self, state: States, *, final: bool = True) -> Float[Tensor, "E G N D"]:
         """What each view shows of the state; with `final=False` only what it would show."""
         views = state.expand(self.views, *state.shape)
-        if not self.observation.stages:
-            return views
-        shown = self.observation.send(views) if final else self.observation.preview(views)
-        if self.known is not None:
-            shown = torch.where(self.known[:, None], views, shown)
-        return shown if self.predictor is None else self.predictor.predicted(shown, final=final)
+        shown = views
+        if self.observation.stages:
+            shown = self.observation.send(views) if final else self.observation.preview(views)
+            if self.known is not None:
+                shown = torch.where(self.known[:, None], views, shown)
+        if self.predictor is None:
+            return shown
+        now = len(self.predictor.felt)
+        times = torch.full((*views.shape[:-1], 1), now)
+        seen = self.clock.send(times) if final else self.clock.preview(times)
+        return self.predictor.predicted(shown, (now - seen)[..., 0], final=final)
 
     def executed_action(self, action: Float[Tensor, "G N A"]) -> Float[Tensor, "G N A"]:
         """The action that the vehicle executes."""
@@ -211,6 +219,7 @@ def sensing_and_control(perturbations: Sequence[Perturbation], setting: RoundSet
     views = tuple((role,) for role in setting.driven_roles) if own_views else (setting.driven_roles,)
     own = torch.tensor([[role in roles for role in range(setting.size)] for roles in views])
     observation: list[Stage] = []
+    clock: list[Stage] = []  # the stages of `observation` that show older states
     action: list[Stage] = []
     frictions: list[LowFriction] = []
     for spec in perturbations:
@@ -219,32 +228,32 @@ def sensing_and_control(perturbations: Sequence[Perturbation], setting: RoundSet
                 observation.append(_observation_noise(spec, setting))
             case Dropout():
                 observation.append(_dropout(spec, setting))
-            case PerceptionLatency():
-                observation.append(_latency(spec, setting, ~own))
-            case LocalizationLatency():
-                observation.append(_latency(spec, setting, own))
+                clock.append(observation[-1])
+            case PerceptionLatency() | LocalizationLatency():
+                late = own if isinstance(spec, LocalizationLatency) else ~own
+                observation.append(_latency(spec, setting, late, partial(_straight_on_before, setting)))
+                clock.append(_latency(spec, setting, late, operator.sub))
             case ActionNoise():
                 action.append(_action_noise(spec, setting))
             case ActionDelay():
                 action.append(_action_delay(spec, setting))
             case LowFriction():
                 frictions.append(spec)
-    late = {
-        kind: sum(delay_steps(spec.intensity, setting.dt) for spec in perturbations if isinstance(spec, kind))
-        for kind in (PerceptionLatency, LocalizationLatency)
-    }
-    predictor = StatePredictor(setting.dynamics, setting.dt, late[PerceptionLatency], late[LocalizationLatency], own)
+    executed = Channel.of(action)
+    delay = sum(delay_steps(spec.intensity, setting.dt) for spec in perturbations if isinstance(spec, ActionDelay))
+    predictor = StatePredictor(setting.dynamics, setting.dt, own, delay, executed.values[0])
     slippery = min(frictions, key=lambda spec: spec.intensity, default=None)
     feels = torch.tensor([name in OWN for name in setting.dynamics.state])
     return SensingAndControl(
         dynamics=setting.dynamics,
         observation=Channel.of(observation),
-        action=Channel.of(action),
+        clock=Channel.of(clock),
+        action=executed,
         known=own[..., None] & feels,
         view_of=tuple(next((k for k, roles in enumerate(views) if role in roles), 0) for role in range(setting.size)),
         driven_roles=setting.driven_roles,
         road=None if slippery is None else Road(slippery, slippery.intensity * GRAVITY, setting.curvature),
-        predictor=predictor if setting.predicts and own_views else None,
+        predictor=predictor if setting.predicts and (clock or delay) else None,
     )
 
 
@@ -306,23 +315,20 @@ def _dropout(spec: Dropout, setting: RoundSetting) -> Stage:
     return Stage(hold, measure)
 
 
-def _latency(spec: PerceptionLatency | LocalizationLatency, setting: RoundSetting, late: Bool[Tensor, "E N"]) -> Stage:
+def _latency(
+    spec: PerceptionLatency | LocalizationLatency,
+    setting: RoundSetting,
+    late: Bool[Tensor, "E N"],
+    before: Callable[[Tensor, int], Tensor],
+) -> Stage:
     """Show the vehicles that are `late` in a view as they were some steps ago.
 
-    Before the first observation, a vehicle is taken to have driven straight on at its first speed.
+    `before` gives what a first value was so many steps before the first observation.
     """
-    steps, dynamics = delay_steps(spec.intensity, setting.dt), setting.dynamics
+    steps = delay_steps(spec.intensity, setting.dt)
 
     def delay(seen: Sequence[Tensor]) -> Tensor:
-        if len(seen) > steps:
-            past = seen[-1 - steps]
-        else:
-            past, earlier = seen[0].clone(), (steps - len(seen) + 1) * setting.dt
-            v, planar = past[..., dynamics.speed], "heading" in dynamics.state
-            heading = past[..., dynamics.index("heading")] if planar else torch.zeros_like(v)
-            past[..., dynamics.index("x")] -= earlier * v * heading.cos()
-            if planar:
-                past[..., dynamics.index("y")] -= earlier * v * heading.sin()
+        past = seen[-1 - steps] if len(seen) > steps else before(seen[0], steps - len(seen) + 1)
         return torch.where(late[:, None, :, None], past, seen[-1])
 
     def measure(given: np.ndarray, shown: np.ndarray) -> list[Effect]:
@@ -331,6 +337,17 @@ def _latency(spec: PerceptionLatency | LocalizationLatency, setting: RoundSettin
         return [_delay_effect(spec, found * setting.dt)]
 
     return Stage(delay, measure)
+
+
+def _straight_on_before(setting: RoundSetting, first: Float[Tensor, "E G N D"], steps: int) -> Float[Tensor, "E G N D"]:
+    """The states so many steps before the first ones, of vehicles that drove straight on at their first speed."""
+    past, dynamics, earlier = first.clone(), setting.dynamics, steps * setting.dt
+    v, planar = past[..., dynamics.speed], "heading" in dynamics.state
+    heading = past[..., dynamics.index("heading")] if planar else torch.zeros_like(v)
+    past[..., dynamics.index("x")] -= earlier * v * heading.cos()
+    if planar:
+        past[..., dynamics.index("y")] -= earlier * v * heading.sin()
+    return past
 
 
 def _delay_effect(spec: PerceptionLatency | LocalizationLatency | ActionDelay, measured: float) -> Effect:

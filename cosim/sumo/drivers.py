@@ -48,7 +48,7 @@ class Drivers:
         return libsumo.vehicle.getLaneChangeState(vehicle, 1 if left else -1)[0]
 
     def way_in_lane(self, vehicle: str) -> float:
-        """The way [m] that a vehicle can go before it must change lanes to follow its route; infinite where it need not.
+        """The way [m] that a vehicle can go before it must change lanes to follow its route; inf where it need not.
 
         The number of lanes to change depends on lane and route alone (SUMO's documentation of `getBestLanes`).
         """

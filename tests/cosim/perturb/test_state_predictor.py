@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from cosim.perturb.sensing_and_control import RoundSetting, sensing_and_control
-from cosim.spec.perturbations import LocalizationLatency, ObservationNoise, PerceptionLatency
+from cosim.spec.perturbations import ActionDelay, Dropout, LocalizationLatency, ObservationNoise, PerceptionLatency
 from gri.core.dynamics import DUBINS, POINT_MASS_1D
 
 DT = 0.2
@@ -77,6 +77,41 @@ def test_a_predicted_vehicle_stops_and_does_not_reverse():
     assert (shown[0, :, 2, DUBINS.speed] == 0).all()
 
 
-def test_without_a_latency_nothing_is_predicted():
+@pytest.mark.parametrize("specs", [(), (PerceptionLatency(intensity=0.4),)])
+def test_lost_states_are_predicted_over_the_time_since_the_last_one(specs):
+    """Without unknown actions, what was seen last says all; a driven vehicle has felt its own."""
+    for jerks, roles in ((0.0, slice(None)), (2.0, slice(0, 2))):
+        made = channels(Dropout(intensity=0.8), *specs)
+        for step, state in enumerate(driven(DUBINS, jerks, steps=20)):
+            shown = made.observed(state)
+            for view in range(made.views if step > 1 else 0):  # before, they are those from before the first one
+                known = roles if jerks == 0 or made.views == 1 else slice(view, view + 1)
+                assert torch.allclose(shown[view, :, known], state[:, known], atol=1e-9)
+        without = channels(Dropout(intensity=0.8), *specs, predicts=False)
+        shown = [without.observed(state) for state in driven(DUBINS, jerks, steps=20)][-1]
+        assert (shown - state).abs().max() > 1.0
+
+
+@pytest.mark.parametrize("dynamics", [DUBINS, POINT_MASS_1D])
+def test_whose_actions_come_late_is_shown_where_it_will_be_when_they_come(dynamics):
+    """By its own actions exactly; others go on as they do. Its first actions come after as many steps without one."""
+    made, generator, steps = (
+        channels(ActionDelay(intensity=0.6), dynamics=dynamics),
+        torch.Generator().manual_seed(1),
+        3,
+    )
+    state, shown, states = driven(dynamics, 0.0, steps=0)[0], [], []
+    for _ in range(12):
+        states.append(state)
+        shown.append(made.observed(state)[0])
+        action = torch.randn(2, 3, len(dynamics.action), generator=generator, dtype=torch.float64)
+        action[:, 2] = 0.0
+        state = dynamics.step(state, made.executed_action(action), DT)
+    for predicted, later in zip(shown, states[steps:], strict=False):
+        assert torch.allclose(predicted, later, atol=1e-9)
+    assert not torch.allclose(shown[0], states[0])
+
+
+def test_states_that_come_in_time_are_shown_as_they_are():
     assert channels(ObservationNoise(intensity=0.5)).predictor is None
     assert channels(PerceptionLatency(intensity=0.4), predicts=False).predictor is None
