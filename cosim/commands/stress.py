@@ -25,8 +25,8 @@ def stress(
     perturbation: Annotated[
         str,
         typer.Option(
-            help="Kinds of perturbation, separated by commas; docs/stress.md lists them. all: every kind that makes"
-            " sense for the scenario."
+            help="Kinds of perturbation, separated by commas, each with intensities of its own if you like:"
+            " leader_braking:4:8,dropout. docs/stress.md lists them. all: every kind that makes sense for the scenario."
         ),
     ] = "all",
     intensity: Annotated[

@@ -5,6 +5,7 @@ simulation serves all of them. Perturbations of the traffic itself need a simula
 """
 
 import hashlib
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -180,11 +181,17 @@ def sweeps_of(
 ) -> dict[str, tuple[float, ...]]:
     """The intensities of each kind of perturbation: those given, or `levels` of the defaults, the greatest included.
 
-    The kind ALL stands for all kinds that make sense for the scenario. Without `levels`, each kind has all its default
-    intensities, with ALL it has LEVELS_OF_ALL. Raises `InputError` for an unknown kind, one that makes no sense, or for
-    given intensities with several kinds, and for anything given twice.
+    A kind may bring its intensities, such as "leader_braking:4:8". ALL stands for all kinds that make sense for the
+    scenario. Without `levels`, each kind has all its default intensities, with ALL it has LEVELS_OF_ALL. Raises
+    `InputError` for an unknown kind, one that makes no sense, or for given intensities with several kinds, and for
+    anything given twice.
     """
-    for option, given in (("--perturbation", kinds), ("--intensity", intensities)):
+    own = {kind: tuple(map(_intensity, given)) for kind, *given in (word.split(":") for word in kinds) if given}
+    kinds = [word.partition(":")[0] for word in kinds]
+    if own and (intensities or ALL in kinds):
+        other = "--intensity" if intensities else ALL
+        raise InputError(f"--perturbation: got intensities of {', '.join(own)} and {other}; leave one of them out")
+    for option, given in (("--perturbation", kinds), ("--intensity", intensities), *own.items()):
         if len(set(given)) < len(given):
             raise InputError(f"{option}: got {', '.join(map(str, given))[:200]}, expected each one once")
     pointless = senseless(scenario)
@@ -202,9 +209,24 @@ def sweeps_of(
             )
     if intensities and len(kinds) > 1:
         raise InputError(
-            f"--intensity: got {len(kinds)} kinds of perturbation, whose intensities differ in scale; give one kind"
+            f"--intensity: got {len(kinds)} kinds of perturbation, whose intensities differ in scale; give one kind, or"
+            " each kind with its own: --perturbation leader_braking:4:8,dropout:0.2"
         )
-    return {kind: tuple(intensities) or _levels(_default_intensities(kind, scenario), levels) for kind in kinds}
+    return {
+        kind: own.get(kind) or tuple(intensities) or _levels(_default_intensities(kind, scenario), levels)
+        for kind in kinds
+    }
+
+
+def _intensity(word: str) -> float:
+    """The number after a kind of perturbation."""
+    try:
+        number = float(word)
+    except ValueError:
+        number = math.nan
+    if not math.isfinite(number):
+        raise InputError(f"--perturbation: got {word!r} as an intensity, expected a finite number")
+    return number
 
 
 def _default_intensities(kind: str, scenario: Scenario) -> tuple[float, ...]:

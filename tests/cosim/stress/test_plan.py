@@ -83,6 +83,11 @@ def test_default_intensities(scenario):
     assert sweeps_of(["action_delay"], [0.3], scenario) == {"action_delay": (0.3,)}
 
 
+def test_kinds_with_intensities_of_their_own(scenario):
+    found = sweeps_of(["leader_braking:4:8", "dropout:0.2", "action_delay"], [], scenario, levels=1)
+    assert found == {"leader_braking": (4.0, 8.0), "dropout": (0.2,), "action_delay": (1.0,)}
+
+
 def test_all_kinds_are_all_that_make_sense(scenario):
     found = sweeps_of(["all"], [], scenario)
     assert list(found) == list(KINDS)
@@ -120,6 +125,12 @@ def test_the_graph_is_inferred_again_in_a_stress_test(scenario):
         (["fog"], [], "fog"),
         (["latency"], [], "perception_latency"),
         (["action_delay", "dropout"], [0.1], "give one kind"),
+        (["action_delay:0.2", "dropout"], [0.1], "leave one of them out"),
+        (["all", "dropout:0.2"], [], "dropout and all"),
+        (["dropout:"], [], "got '' as an intensity"),
+        (["dropout:nan"], [], "finite"),
+        (["dropout:0.2", "dropout"], [], "each one once"),
+        (["dropout:0.2:0.2"], [], "each one once"),
     ],
 )
 def test_bad_perturbations(scenario, kinds, intensities, message):
