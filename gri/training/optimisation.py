@@ -155,7 +155,11 @@ class Descent:
             kind, _, rest = name.partition(".")
             if kind == "adam":
                 k, _, of = rest.partition(".")
+                if value.ndim and value.shape != self.parameters[int(k)].shape:
+                    raise ValueError(f"{name} has the shape {tuple(value.shape)}")
                 of_parameters.setdefault(int(k), {})[of] = value.clone()
+        if odd := [k for k, of in of_parameters.items() if set(of) != {"step", "exp_avg", "exp_avg_sq"}]:
+            raise ValueError(f"parameter {odd[0]} has not what Adam keeps")
         optimiser["state"] = of_parameters
         optimiser["param_groups"][0]["lr"] = numbers["rate"]
         self.optimiser.load_state_dict(optimiser)

@@ -195,6 +195,8 @@ class TrainingState:
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
         if header.sha256 != _digest(tensors, header):
             raise DamagedError(f"{path}: is damaged (its SHA-256 hash is not the recorded one); {REMEDY}")
+        if odd := [name for name, of in tensors.items() if of.is_floating_point() and not of.isfinite().all()]:
+            raise InputError(f"{path}: its tensor {odd[0][:60]} is not made of finite numbers; {REMEDY}")
         if header.identity != self.identity:
             raise InputError(
                 f"{path}: got the state of a training with another configuration, seed, scenes or version; {REMEDY}, or"
