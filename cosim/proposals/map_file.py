@@ -11,6 +11,7 @@ from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 from cosim.proposals.net_file import NetLanes, read_net_lanes
+from cosim.spec.input_files import xml_root
 from gri.errors import InputError
 
 PER_LANE, PER_RAMP = 1200.0, 500.0  # [veh/h] that enter on each lane of a road, and on a ramp of one lane
@@ -62,6 +63,9 @@ def _net(path: Path, suffix: str, net: Path) -> None:
     if program is None:
         raise InputError(f"{path}: a map needs netconvert, which is not installed; pip install 'gri-cosim[sumo]'")
     special, wanted = (OF_OSM, "motorway or trunk road") if suffix != ".xodr" else ((), "road")
+    root = "OpenDRIVE" if suffix == ".xodr" else "osm"
+    if (found := xml_root(path, "export the map again")) != root:
+        raise InputError(f"{path}: got a <{found}> file, expected <{root}>; give a map, or rename the file")
     part = net.with_name(f".{net.name}.part.net.xml")
     command = [program, MAPS[suffix], str(path), *OPTIONS, *special, "-o", str(part)]
     try:

@@ -14,6 +14,7 @@ from gri.errors import InputError
 from gri.resources import find_checkpoint, is_file, shipped
 
 GZIP = b"\x1f\x8b"  # the first bytes of a compressed file
+DEEPEST = 100  # elements in one another
 LARGEST_NET = 4 * 2**30  # bytes
 
 
@@ -23,35 +24,49 @@ def find_net(name: str) -> Path:
     if path is None:
         known = ", ".join(sorted(p.parent.name for p in shipped("sumo_nets").glob("*/*.net.xml")))
         raise InputError(f"net: no net {name!r}: expected the path of a .net.xml file or a shipped name ({known})")
-    state = path.stat()
-    if (root := _root_of(path, state.st_mtime_ns, state.st_size)) != "net":
+    if (root := xml_root(path, "build the net again with netconvert")) != "net":
         raise InputError(f"{path}: got a <{root}> file, expected a SUMO <net>; build one with netconvert")
     return path
 
 
-@lru_cache(maxsize=100)
-def _root_of(path: Path, changed: int, size: int) -> str:
+def xml_root(path: Path, fix: str) -> str:
     """The name of the root element of an XML file, which may be compressed with gzip and is read to its end.
 
-    `changed` and `size` are those of the file, so that one that was changed is read again. Raises `InputError` if the
-    file is not well-formed.
+    Raises `InputError`, which ends with what to do (`fix`), if the file is not well-formed, nests deeper than any map
+    or net (SUMO's reader takes minutes for such a file), or is larger than LARGEST_NET.
     """
+    state = path.stat()
+    return _root_of(path, fix, state.st_mtime_ns, state.st_size)
+
+
+@lru_cache(maxsize=100)
+def _root_of(path: Path, fix: str, changed: int, size: int) -> str:
+    """As `xml_root`; `changed` and `size` are those of the file, so that one that was changed is read again."""
     del changed, size
+    open_elements: list[str] = []
     roots: list[str] = []
     parser = expat.ParserCreate()
-    parser.StartElementHandler = lambda name, _: roots.append(name) if not roots else None
+
+    def begin(name: str, _: dict[str, str]) -> None:
+        if not open_elements:
+            roots.append(name)
+        open_elements.append(name)
+        if len(open_elements) > DEEPEST:
+            raise InputError(f"{path}:{parser.CurrentLineNumber}: XML nests deeper than {DEEPEST} elements; {fix}")
+
+    parser.StartElementHandler, parser.EndElementHandler = begin, lambda _: open_elements.pop()
     try:
         with path.open("rb") as raw, gzip.open(raw) if raw.peek(2)[:2] == GZIP else raw as file:
             while part := file.read(2**20):
                 parser.Parse(part)
                 if file.tell() > LARGEST_NET:
-                    raise InputError(f"{path}: more than {LARGEST_NET // 2**30} GiB of XML; give a smaller net")
+                    raise InputError(f"{path}: more than {LARGEST_NET // 2**30} GiB of XML; give a smaller file")
             parser.Parse(b"", True)
     except InputError:
         raise
     except Exception as error:  # whatever is wrong with the compression, the encoding or the XML
         line = f":{error.lineno}" if isinstance(error, expat.ExpatError) else ""
-        raise InputError(f"{path}{line}: not well-formed XML ({error}); build the net again with netconvert") from None
+        raise InputError(f"{path}{line}: not well-formed XML ({error}); {fix}") from None
     return roots[0]
 
 

@@ -95,8 +95,8 @@ def test_opendrive_and_compressed_maps(tmp_path: Path) -> None:
     ("name", "content", "message"),
     [
         ("street.osm", osm((13,)), "without a motorway or trunk road"),
-        ("broken.osm.xml", osm()[:300], "netconvert cannot read it"),
-        ("broken.xodr", "<OpenDRIVE>", "netconvert cannot read it"),
+        ("broken.osm.xml", osm()[:300], "not well-formed"),
+        ("broken.xodr", "<OpenDRIVE>", "not well-formed"),
         ("none.osm", None, "no such file"),
     ],
 )
@@ -118,3 +118,19 @@ def test_without_netconvert_the_package_is_named(tmp_path: Path, monkeypatch: py
 def test_a_configuration_is_no_map() -> None:
     assert map_suffix(Path("mine.sumocfg")) is None
     assert map_suffix(Path("MINE.OSM.XML")) == ".osm.xml"
+
+
+def test_a_map_that_nests_without_end_is_refused_before_netconvert_reads_it(tmp_path):
+    """netconvert takes minutes for it."""
+    path = tmp_path / "deep.osm.xml"
+    path.write_text("<a>" * 100_000 + "</a>" * 100_000)
+    with pytest.raises(InputError, match="nests deeper than 100 elements; export the map again"):
+        convert(path)
+
+
+@pytest.mark.parametrize(("name", "text", "wanted"), [("m.xodr", osm(), "<OpenDRIVE>"), ("m.osm", XODR, "<osm>")])
+def test_a_map_of_the_other_kind_is_refused_by_name(tmp_path, name, text, wanted):
+    path = tmp_path / name
+    path.write_text(text)
+    with pytest.raises(InputError, match=wanted):
+        convert(path)
