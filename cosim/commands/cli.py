@@ -104,9 +104,15 @@ def run(
     """
     from cosim.spec.input_files import find_net
     from cosim.spec.loading import load_scenario
+    from cosim.spec.settings import settings_of
 
     if policy and baseline:
         raise InputError("--policy and --baseline: both name what drives the groups; give one of them")
+    driver = policy or (None if baseline == "empty-graph" else baseline)
+    own = {"policy": driver, "seed": seed, "episodes": episodes, "max_work": max_work}
+    for field, value in own.items():
+        if value is not None and field in settings_of(settings or ()):
+            raise InputError(f"--set: {field} is also given by an option of its own ({value}); give one of them")
     chosen = load_scenario(scenario, max_work=max_work, settings=settings or ())
     find_net(chosen.net)  # before torch is imported
     if chosen.has_shares:
@@ -125,7 +131,7 @@ def run(
     with ProgressDisplay() as progress:
         done = run_scenario(
             scenario,
-            policy or (None if baseline == "empty-graph" else baseline),
+            driver,
             seed=seed,
             episodes=episodes,
             recording=recording,

@@ -120,6 +120,20 @@ def test_bad_override(short):
     assert "episodes: Expected `int` >= 1, got 0; change it" in line
 
 
+@pytest.mark.parametrize(
+    ("option", "value", "setting"),
+    [
+        ("--policy", "idm", "policy={kind: sumo}"),
+        ("--baseline", "idm", "policy.kind=sumo"),
+        ("--seed", "2", "seed=3"),
+        ("--episodes", "2", "episodes=3"),
+    ],
+)
+def test_what_an_option_of_its_own_says_cannot_be_set_as_well(short, option, value, setting):
+    line = refused(short, "run", "short.yaml", option, value, "--set", setting, command=here)
+    assert line.endswith(f"is also given by an option of its own ({value}); give one of them")
+
+
 def test_net_that_crashes_sumo(short):
     """Well-formed, but an edge without junctions: SUMO dies of it natively."""
     (short / "crash.net.xml").write_text('<net><edge id="upstream"><lane id="upstream_0" index="0"/></edge></net>')
