@@ -110,8 +110,8 @@ def run(
         raise InputError("--policy and --baseline: both name what drives the groups; give one of them")
     driver = policy or (None if baseline == "empty-graph" else baseline)
     own = {"policy": driver, "seed": seed, "episodes": episodes, "max_work": max_work}
-    for field, value in own.items():
-        if value is not None and field in settings_of(settings or ()):
+    for field in own.keys() & settings_of(settings or ()):
+        if (value := own[field]) is not None:
             raise InputError(f"--set: {field} is also given by an option of its own ({value}); give one of them")
     chosen = load_scenario(scenario, max_work=max_work, settings=settings or ())
     find_net(chosen.net)  # before torch is imported

@@ -28,7 +28,6 @@ import numpy as np
 import pandas as pd
 import torch
 import yaml
-from safetensors import safe_open
 from safetensors.torch import save as as_safetensors
 
 from cosim.batch.run_matrix import expand, load_batch
@@ -275,11 +274,7 @@ def packed(rng: random.Random, content: bytes) -> bytes:
 
 def repacked(rng: random.Random, content: bytes) -> bytes:
     """Drop, retype or spoil a field or a tensor of a checkpoint; now and then the digest is made to fit again."""
-    with tempfile.NamedTemporaryFile(suffix=".safetensors") as file:
-        Path(file.name).write_bytes(content)
-        with safe_open(file.name, "pt") as opened:
-            header = json.loads(opened.metadata()[checkpoint.FORMAT])
-            tensors = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118 (it is no mapping)
+    header, tensors = other_inputs.unpacked(content, checkpoint.FORMAT)
     name, tensor = rng.choice(sorted(header)), rng.choice(sorted(tensors))
     odd = rng.choice((None, [], {}, "", "{", "[]", 7, float("nan"), "x" * 1000, 2**70))
     config = header["config"]

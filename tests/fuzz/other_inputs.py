@@ -58,13 +58,19 @@ def read_state(path: Path) -> Any:
     return [*net.parameters(), memory]
 
 
-def spoilt_state(rng: random.Random, content: bytes) -> bytes:
-    """Drop or spoil a number or a tensor; mostly with a digest that fits again."""
+def unpacked(content: bytes, format_name: str) -> tuple[dict[str, Any], dict[str, torch.Tensor]]:
+    """The header of this format, and the tensors, of a file of safetensors."""
     with tempfile.NamedTemporaryFile(suffix=".safetensors") as file:
         Path(file.name).write_bytes(content)
         with safe_open(file.name, "pt") as opened:
-            header = json.loads(opened.metadata()[training_state.FORMAT])
+            header = json.loads(opened.metadata()[format_name])
             tensors = {name: opened.get_tensor(name) for name in opened.keys()}  # noqa: SIM118 (it is no mapping)
+    return header, tensors
+
+
+def spoilt_state(rng: random.Random, content: bytes) -> bytes:
+    """Drop or spoil a number or a tensor; mostly with a digest that fits again."""
+    header, tensors = unpacked(content, training_state.FORMAT)
     name = rng.choice(sorted(tensors))
     rng.choice(
         (
