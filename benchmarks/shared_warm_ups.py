@@ -45,7 +45,9 @@ def main() -> None:
             with TemporaryDirectory() as folder:
                 began = time.monotonic()
                 executor = partial(pool, workers=options.workers)
-                tally = execute(batch, runs, BatchStore(Path(folder)), executor, lambda _: None, file=file, retry=False)
+                tally = execute(
+                    batch, runs, BatchStore(Path(folder)), executor, lambda _: None, file=file, retry=False, warn=print
+                )
                 spent[name].append(time.monotonic() - began)
                 seen[name] = tables(Path(folder))
                 assert tally.done == len(runs), f"{tally.failed} of {len(runs)} runs failed"

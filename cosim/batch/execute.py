@@ -4,7 +4,7 @@ import os
 import platform
 import shutil
 from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
@@ -15,7 +15,8 @@ from typing import Any
 import msgspec
 
 from cosim.batch.run_matrix import PACKAGES, Run
-from cosim.batch.spec import Batch
+from cosim.batch.shards import check_kept, starts_of
+from cosim.batch.spec import Batch, Shards
 from cosim.batch.store import BatchStore
 from cosim.process.task import Preparation, Task, TaskResult, TaskResults
 from cosim.runs.finished_run import read_manifest
@@ -64,16 +65,19 @@ def execute(
     every run, and every finished run is complete.
     """
     by_id = {run.id: run for run in runs}
-    with store.opened(by_id, warn):
+    with store.opened(by_id, warn, sharded=batch.shards is not None):
         if retry:
             store.forget_failures()
         done, failed = store.finished() & set(by_id), set(store.failures()) & set(by_id)
         tally = Tally(len(runs), len(done), len(failed - done))
         attempts: Counter[str] = Counter()
         reasons: dict[str, list[dict[str, Any]]] = {}
-        left = [run for run in runs if run.id not in done | failed]
+        ordered = in_order_of_warm_ups(runs)
+        left = [run for run in ordered if run.id not in done | failed]
         warm_ups = _shared_warm_ups(left, store.scratch)
-        queue = deque(_task(run, store, 0, warm_ups) for run in sorted(left, key=lambda run: warm_ups[run.id][0]))
+        queue = deque(_task(run, store, 0, warm_ups) for run in left)
+        packing = _Packing(batch.shards, ordered, store, warn)
+        packing.begin(done | failed)
         tell(tally)
         record = partial(_write_record, lambda: store.write_manifest(manifest(batch, runs, store, file)), warn)
         record()  # so that results can be read from now on
@@ -85,6 +89,7 @@ def execute(
                     attempts[run.id] += 1
                     if answer.kind == "done":
                         tally = replace(tally, done=tally.done + 1)
+                        packing.ended(run.id)
                     else:
                         reasons.setdefault(run.id, []).append({"kind": answer.kind, "message": answer.message})
                         if answer.kind not in NOT_RETRIED and attempts[run.id] <= batch.retries:
@@ -92,6 +97,7 @@ def execute(
                         else:
                             _write_record(partial(store.fail, run.id, _failure(run, reasons[run.id])), warn)
                             tally = replace(tally, failed=tally.failed + 1)
+                            packing.ended(run.id)
                     _write_record(partial(store.log, _log_entry(answer, attempts[run.id])), warn)
                     tell(tally)
         finally:
@@ -100,25 +106,68 @@ def execute(
         return tally
 
 
-WarmUps = Mapping[str, tuple[int, Preparation | None]]
-"""By the id of a run: its place in the queue, the same for all that share a warm-up, and the warm-up."""
+class _Packing:
+    """Packs finished runs into shards: the first so many of the batch into one, the next into another.
+
+    A shard is packed when all its runs have ended, so that its bytes do not depend on when each of them finished.
+    """
+
+    def __init__(self, shards: Shards | None, runs: Sequence[Run], store: BatchStore, warn: Warn) -> None:
+        self._shards, self._store, self._warn = shards, store, warn
+        size = shards.runs if shards else 1
+        self._members = [runs[k : k + size] for k in range(0, len(runs), size)] if shards else []
+        self._place = {run.id: k for k, members in enumerate(self._members) for run in members}
+        self._open = [{run.id for run in members} for members in self._members]
+        self._checked = False
+
+    def begin(self, ended: Iterable[str]) -> None:
+        """Pack what ended before this command."""
+        for run in set(ended) & set(self._place):
+            self._open[self._place[run]].discard(run)
+        for place in range(len(self._members)):
+            self._pack_if_complete(place)
+
+    def ended(self, run: str) -> None:
+        """Pack the shard of a run that has finished, or failed for good, if it was the last one."""
+        if self._shards is None:
+            return
+        if not self._checked and (folder := self._store.run_folder(run)).is_dir():
+            check_kept(self._shards, folder)
+            self._checked = True
+        self._open[self._place[run]].discard(run)
+        self._pack_if_complete(self._place[run])
+
+    def _pack_if_complete(self, place: int) -> None:
+        if self._shards is None or self._open[place]:
+            return
+        members = {run.id: run.scenario.episodes for run in self._members[place]}
+        try:
+            self._store.pack(self._shards, members)
+        except OSError as error:
+            self._warn(f"{len(members)} runs could not be packed into a shard, and keep their folders: {error}")
 
 
-def _shared_warm_ups(runs: Sequence[Run], scratch: Path) -> WarmUps:
-    """The warm-ups that several runs share, with their files in `scratch`; runs alone have none."""
+def in_order_of_warm_ups(runs: Sequence[Run]) -> list[Run]:
+    """The runs in the order in which they are done: those that share a warm-up follow each other."""
+    first: dict[str, int] = {}
     keys = [warm_up_key(run.scenario) for run in runs]
-    count, place, found = Counter(keys), {key: k for k, key in reversed([*enumerate(keys)])}, {}
-    for k, (run, key) in enumerate(zip(runs, keys, strict=True)):
-        if key and count[key] > 1:
-            preparation = Preparation(key, "cosim.runs.shared_warm_up:shared_warm_up", (run.scenario, str(scratch)))
-            found[run.id] = place[key], preparation
-        else:
-            found[run.id] = k, None
-    return found
+    places = [first.setdefault(key, k) if key else k for k, key in enumerate(keys)]
+    return [runs[k] for k in sorted(range(len(runs)), key=lambda k: (places[k], k))]
 
 
-def _task(run: Run, store: BatchStore, attempt: int, warm_ups: WarmUps) -> Task:
-    arguments, preparation = (run.scenario, msgspec.to_builtins(run.cell), run.key), warm_ups[run.id][1]
+def _shared_warm_ups(runs: Sequence[Run], scratch: Path) -> Mapping[str, Preparation]:
+    """The warm-ups that several of these runs share, by the ids of the runs, with their files in `scratch`."""
+    keys = {run.id: warm_up_key(run.scenario) for run in runs}
+    count = Counter(keys.values())
+    return {
+        run.id: Preparation(key, "cosim.runs.shared_warm_up:shared_warm_up", (run.scenario, str(scratch)))
+        for run in runs
+        if (key := keys[run.id]) and count[key] > 1
+    }
+
+
+def _task(run: Run, store: BatchStore, attempt: int, warm_ups: Mapping[str, Preparation]) -> Task:
+    arguments, preparation = (run.scenario, msgspec.to_builtins(run.cell), run.key), warm_ups.get(run.id)
     folder = store.attempt_folder(run.id, attempt)
     return Task(run.id, "cosim.batch.run_task:run_task", arguments, folder, preparation)
 
@@ -159,15 +208,17 @@ def _log_entry(answer: TaskResult, attempt: int) -> dict[str, Any]:
 
 def manifest(batch: Batch, runs: Sequence[Run], store: BatchStore, file: Path) -> dict[str, Any]:
     """The manifest: batch file, versions, machine, and the state of each run with the hashes of its results."""
-    finished, failures = store.finished(), store.failures()
+    finished, packed, failures = store.finished(), store.packed(), store.failures()
     listed = []
     for run in runs:
         state = "done" if run.id in finished else "failed" if run.id in failures else "open"
         entry: dict[str, Any] = {"run": run.id, "key": run.key, **msgspec.to_builtins(run.cell), "state": state}
-        if state == "done":
+        if run.id in packed:
+            entry |= {"starts": packed[run.id].starts, "asked": packed[run.id].asked}
+        elif state == "done":
             own = read_manifest(store.run_folder(run.id))
-            starts = own.get("arguments", {}).get("starts", run.scenario.episodes)
-            entry |= {"results": own.get("results", {}), "starts": starts, "asked": run.scenario.episodes}
+            asked = run.scenario.episodes
+            entry |= {"results": own.get("results", {}), "starts": starts_of(own, asked), "asked": asked}
         listed.append(entry)
     return {
         "file": str(file),

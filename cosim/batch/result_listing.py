@@ -37,11 +37,11 @@ def groups_of(store: BatchStore) -> pd.DataFrame:
     Raises `InputError` if no run has finished, if a table is damaged, or if an older version wrote the batch.
     """
     order = [run["run"] for run in store.manifest()["runs"]]
-    if not any((store.folder / "groups").glob("run=*")):
+    if not store.has_table("groups"):
         raise InputError(
             f"{store.folder}: no run has finished; see the reasons with `cosim results {store.folder} --failures`"
         )
-    if not any((store.folder / "counterparts").glob("run=*")):
+    if not store.has_table("counterparts"):
         raise InputError(
             f"{store.folder}: no table of counterparts; got a batch that an older version wrote, which mixed them into"
             " the groups; run `cosim batch` again"

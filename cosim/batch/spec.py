@@ -7,7 +7,7 @@ checked scenarios.
 
 from collections import Counter
 from collections.abc import Sequence
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta, field
@@ -74,6 +74,38 @@ class Exclusion(Spec, frozen=True, kw_only=True):
     seed: Seed | None = None
 
 
+Kept = Literal["all"] | tuple[Name, ...]  # columns of a table
+
+
+class MoreTables(Spec, frozen=True, kw_only=True):
+    """Tables that shards keep besides those of which results are made: a list of columns each, or `all`."""
+
+    steps: Kept | None = None
+    events: Kept | None = None
+    graphs: Kept | None = None
+    surroundings: Kept | None = None
+    vehicles: Kept | None = None
+    space_time: Kept | None = None
+    incidents: Kept | None = None
+    pair_graphs: Kept | None = None
+    samples: Kept | None = None
+
+    def kept(self) -> dict[str, Kept]:
+        """The columns of each table that is kept."""
+        return {name: columns for name, columns in msgspec.structs.asdict(self).items() if columns is not None}
+
+
+class Shards(Spec, frozen=True, kw_only=True):
+    """Results of finished runs are packed: one file per table for `runs` runs, instead of a folder per run.
+
+    A shard has the tables that results and reports are made from: `groups` and `counterparts`, or `traffic`. `tables`
+    names others to keep.
+    """
+
+    runs: Annotated[int, Meta(ge=1, le=100_000)] = 500
+    tables: MoreTables = MoreTables()
+
+
 def _repeated(values: Sequence[float] | Sequence[int]) -> list[float]:
     """The values that a list has more than once."""
     return [value for value, count in Counter(values).items() if count > 1]
@@ -83,7 +115,8 @@ class Batch(Spec, frozen=True, kw_only=True):
     """Many runs. `time_limit` is the wall-clock time per run [s]; a run that died is repeated up to `retries` times.
 
     `policies` default to the policy of each scenario, `seeds` to its seed. `overrides` change fields of all scenarios.
-    Each of the `variants` is a further set of such changes, and one value on an axis of the matrix.
+    Each of the `variants` is a further set of such changes, and one value on an axis of the matrix. With `shards` the
+    results take few files (large batches); without, every run has a folder.
     """
 
     description: Text = ""
@@ -98,6 +131,7 @@ class Batch(Spec, frozen=True, kw_only=True):
     exclude: tuple[Exclusion, ...] = ()
     time_limit: PositivePeriod = 900.0
     retries: Annotated[int, Meta(ge=0, le=100)] = 1
+    shards: Shards | None = None
 
     def __post_init__(self) -> None:
         for name, taken in ((NOMINAL, self.perturbations), (PLAIN, self.variants)):

@@ -3,6 +3,7 @@
     runs/<id>/                     a run folder as `cosim run` writes it; it appears whole or not at all
     groups/run=<id>/part.parquet   its tables again (hard links), partitioned by run; counterparts/ etc. likewise
     traffic/run=<id>/part.parquet  the same for runs in which policies drive shares of the traffic
+    shards/, groups/<shard>.parquet  many runs together, where the batch file asks for it (see cosim/batch/shards.py)
     failures/<id>.json             runs that failed finally, with their reasons
     log.jsonl                      one line per attempt: seconds, memory, outcome
     manifest.json                  file, versions, machine, and every run with its key, labels, state and hashes
@@ -21,7 +22,20 @@ from typing import Any
 
 import msgspec
 import pandas as pd
+import pyarrow as pa
 
+from cosim.batch.shards import (
+    FIX,
+    PackedRun,
+    Shard,
+    is_sharded,
+    open_shards,
+    pack,
+    read_packed,
+    read_shards,
+    table_of_run,
+)
+from cosim.batch.spec import Shards
 from cosim.runs.finished_run import read_manifest, verify_run
 from cosim.runs.run_reading import TABLES
 from cosim.runs.share_reading import SHARE_TABLES
@@ -31,7 +45,6 @@ from gri.storage.verification import DamagedError, check_digest, digest, read_se
 from gri.storage.whole_files import publish, sweep, whole_file
 
 PARTIAL = ".partial"
-FIX = "run `cosim batch` again, which repairs it"
 
 
 class _Listed(msgspec.Struct):
@@ -64,10 +77,11 @@ class BatchStore:
         self.folder = folder
 
     @contextmanager
-    def opened(self, runs: Iterable[str], warn: Callable[[str], None]) -> Iterator[None]:
+    def opened(self, runs: Iterable[str], warn: Callable[[str], None], *, sharded: bool = False) -> Iterator[None]:
         """Claim the folder, remove unfinished attempts, set damaged runs aside, and link the tables of these runs.
 
-        `warn` is called with a sentence about each of these runs that is damaged. Raises `InputError` if the folder
+        If finished runs are to go into shards (`sharded`), or once did, nothing is linked. `warn` is called with a
+        sentence about each of these runs, and each shard, that is damaged. Raises `InputError` if the folder
         cannot be written or another command uses it.
         """
         with claimed_folder(self.folder):
@@ -77,12 +91,14 @@ class BatchStore:
             except OSError as error:
                 raise InputError(f"cannot write to {self.folder}: {error.strerror}; give another --out") from None
             self.sweep()
+            if sharded or is_sharded(self.folder):
+                open_shards(self.folder, warn)
             self._set_damaged_aside(set(runs), warn)
             self._link_tables(set(runs))
             yield
 
     def _set_damaged_aside(self, runs: set[str], warn: Callable[[str], None]) -> None:
-        for run in sorted(runs & self.finished()):
+        for run in sorted(runs & self._in_folders()):
             try:
                 verify_run(self.run_folder(run))
             except InputError as error:
@@ -112,6 +128,22 @@ class BatchStore:
         return self.folder / "runs" / f"{run}-{os.getpid()}-{attempt}{PARTIAL}"
 
     def finished(self) -> set[str]:
+        return self._in_folders() | self.packed().keys()
+
+    def packed(self) -> dict[str, PackedRun]:
+        """The finished runs that are in shards, by id. Errors: `DamagedError`."""
+        return {run.run: run for shard in read_shards(self.folder).values() for run in shard.runs}
+
+    def pack(self, shards: Shards, runs: Mapping[str, int]) -> None:
+        """Put those of these runs into one shard that have a folder. An OSError leaves them in their folders.
+
+        `runs` are given with the number of starts that each was asked for.
+        """
+        there = self._in_folders()
+        if found := {run: asked for run, asked in runs.items() if run in there}:
+            pack(self.folder, shards, found)
+
+    def _in_folders(self) -> set[str]:
         return {path.name for path in (self.folder / "runs").glob("*") if not path.name.endswith(PARTIAL)}
 
     def failures(self) -> dict[str, dict[str, Any]]:
@@ -128,7 +160,8 @@ class BatchStore:
     def finish(self, run: str, partial: Path) -> None:
         """Publish the results of an attempt. The last step marks the run as finished; an OSError leaves it open."""
         try:
-            self._link(run, partial)
+            if not is_sharded(self.folder):
+                self._link(run, partial)
             (self.folder / "failures" / f"{run}.json").unlink(missing_ok=True)
             publish(partial, self.run_folder(run))
         except OSError:
@@ -162,21 +195,57 @@ class BatchStore:
             raise DamagedError(f"{path}: {error}; {FIX}") from None
         return content
 
+    def has_table(self, name: str) -> bool:
+        """Whether a finished run wrote a table of this name."""
+        if any((self.folder / name).glob("run=*")):
+            return True
+        return is_sharded(self.folder) and (
+            any((self.folder / name).glob("*.parquet")) or any((self.folder / "runs").glob(f"*/{name}.parquet"))
+        )
+
     def table(self, name: str, runs: Sequence[str]) -> pd.DataFrame:
         """The rows of a table, of those of these runs that have finished, as the runs wrote them.
 
         Raises `DamagedError` where they have been changed.
         """
-        finished, file = self.finished(), f"{name}.parquet"
+        if not is_sharded(self.folder):
+            return self._linked_table(name, runs)
+        while True:
+            shards = read_shards(self.folder)
+            try:
+                return self._sharded_table(name, runs, shards)
+            except InputError:
+                if read_shards(self.folder).keys() == shards.keys():
+                    raise  # otherwise the batch packed runs meanwhile, so that their folders went away
+
+    def _linked_table(self, name: str, runs: Sequence[str]) -> pd.DataFrame:
+        finished, file = self._in_folders(), f"{name}.parquet"
         hashes = {run: read_manifest(self.run_folder(run))["results"] for run in runs if run in finished}
         wrote = {run: results[file] for run, results in hashes.items() if file in results}
         parts = [check_digest(self._part(name, run), wanted, FIX) for run, wanted in wrote.items()]
         with guarded_reading(self.folder / name, "table of a batch", FIX):
             return pd.read_parquet(parts)  # pyright: ignore[reportArgumentType]  # it reads lists as well
 
+    def _sharded_table(self, name: str, runs: Sequence[str], shards: Mapping[str, Shard]) -> pd.DataFrame:
+        packed = {run.run for shard in shards.values() for run in shard.runs}
+        loose = [run for run in runs if run in self._in_folders() - packed]
+        parts = list(read_packed(self.folder, name, shards, runs))
+        for run in loose:
+            results, file = read_manifest(self.run_folder(run))["results"], f"{name}.parquet"
+            if file in results:
+                parts.append(table_of_run(check_digest(self.run_folder(run) / file, results[file], FIX), run))
+        if not parts:
+            raise InputError(
+                f"{self.folder / name}: no run has finished that wrote this table; run `cosim batch` again"
+            )
+        with guarded_reading(self.folder / name, "table of a batch", FIX):
+            rows = pa.concat_tables(parts, promote_options="permissive").to_pandas()
+        return rows.sort_values("run", key=lambda ids: ids.map({run: k for k, run in enumerate(runs)}), kind="stable")
+
     def _link_tables(self, runs: set[str]) -> None:
-        """Let the tables hold those of these runs that have finished, and no others."""
-        present = runs & self.finished()
+        """Let the tables hold those of these runs that have finished, and no others; none if there are shards."""
+        linked = not is_sharded(self.folder)
+        present = runs & self._in_folders() if linked else set()
         for table in TABLES:
             (self.folder / table).mkdir(exist_ok=True)
         for table in (*TABLES, *SHARE_TABLES):

@@ -42,7 +42,7 @@ NOBODY = "nobody"  # the policy of runs in which no vehicle is driven
 
 def has_traffic(store: BatchStore) -> bool:
     """Whether finished runs of the batch have shares of the traffic."""
-    return any((store.folder / "traffic").glob("run=*"))
+    return store.has_table("traffic")
 
 
 def traffic_rows(store: BatchStore, where: Sequence[str] = ()) -> pd.DataFrame:

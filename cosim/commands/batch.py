@@ -52,6 +52,8 @@ def batch(
     if settings:
         spec = replace(spec, overrides=overlay(spec.overrides, settings_of(settings)))
     runs = _chosen(expand(spec, path, max_work), only or [])
+    if only:
+        spec = replace(spec, shards=None)  # single runs keep their folders, to be looked at
     if dry_run:
         for run in runs:
             say(f"{run.id}  {run.cell}")

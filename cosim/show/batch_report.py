@@ -53,6 +53,7 @@ def batch_report(store: BatchStore) -> str:
         spreads=svg_charts.distributions(groups, SPREADS),
         graphs=_graphs(groups),
         episodes=_episodes(store, groups),
+        packed=len(store.packed()),
         failures=_failures(store, manifest),
     )
 
@@ -155,8 +156,10 @@ def _graphs(groups: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def _episodes(store: BatchStore, groups: pd.DataFrame) -> list[dict[str, Any]]:
+    """The worst episodes with their drives; of runs in shards, which have no folder, there are none."""
     found = []
-    for _, row in worst_episodes(groups, SHOWN_EPISODES).iterrows():
+    in_folders = groups[~groups["run"].isin(list(store.packed()))]
+    for _, row in worst_episodes(in_folders, SHOWN_EPISODES).iterrows():
         folder = store.run_folder(str(row["run"]))
         tables, number = read_tables(folder), int(row["episode"])
         view = episode_view(tables, number)

@@ -19,6 +19,7 @@ from typing import Any
 import msgspec
 
 from cosim.batch.result_listing import failures_table, groups_of, runs_table
+from cosim.batch.spec import Shards
 from cosim.batch.store import BatchStore
 from cosim.runs.finished_run import read_scenario
 from cosim.runs.run import open_run
@@ -105,11 +106,15 @@ def _resealed(files: dict[str, bytes]) -> dict[str, bytes]:
         if not isinstance(tree, dict) or SEAL not in tree:
             continue
         folder = os.path.dirname(name)
-        results = tree.get("results")
+        results, shard = tree.get("results"), tree.get("tables")
         for file in results if isinstance(results, dict) else ():
             path = os.path.join(folder, file)
             if isinstance(file, str) and path in files:
                 tree["results"][file] = sha256(files[path]).hexdigest()
+        for table in shard if isinstance(shard, dict) else ():
+            path = f"{table}/{os.path.basename(name).removesuffix('.json')}.parquet"
+            if path in files:
+                tree["tables"][table] = sha256(files[path]).hexdigest()
         done[name] = json.dumps(sealed(tree)).encode()
     for name in files:  # the tables of a batch are those of its runs
         parts = name.split("/")
@@ -127,17 +132,24 @@ def good_run() -> tuple[bytes, ...]:
 
 @cache
 def good_batch() -> tuple[bytes, ...]:
+    """A batch with a folder per run, and the same in a shard."""
+    return _good_batch(None), _good_batch(Shards())
+
+
+def _good_batch(shards: Shards | None) -> bytes:
     with tempfile.TemporaryDirectory() as scratch:
         store = BatchStore(Path(scratch, "batch"))
-        with store.opened({"ra"}, print):
+        with store.opened({"ra"}, print, sharded=shards is not None):
             store.finish("ra", finished_run(store.attempt_folder("ra", 0), labels={**LABELS, "seed": 1}))
+            if shards:
+                store.pack(shards, {"ra": 1})
             store.fail("rb", {"run": "rb", "labels": LABELS, "attempts": [{"kind": "died", "message": "SIGKILL"}]})
             runs = [
                 {"run": run, "key": run, **LABELS, "seed": seed, "state": state}
                 for run, seed, state in (("ra", 1, "done"), ("rb", 2, "failed"))
             ]
             store.write_manifest({"file": "a.yaml", "batch": {}, "states": {"done": 1, "failed": 1}, "runs": runs})
-        return (pack(store.folder, ("steps", "events", "graphs", "surroundings", "scenario")),)
+        return pack(store.folder, ("steps", "events", "graphs", "surroundings", "scenario"))
 
 
 def read_run(path: Path) -> Any:

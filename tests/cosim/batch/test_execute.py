@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from cosim.batch.execute import Tally, _shared_warm_ups, execute
+from cosim.batch.execute import Tally, _shared_warm_ups, execute, in_order_of_warm_ups
 from cosim.batch.run_matrix import expand, load_batch
 from cosim.batch.store import BatchStore
 from cosim.process.task import Task, TaskResult
@@ -122,15 +122,11 @@ def test_two_runs_in_the_same_traffic_share_its_warm_up_and_one_alone_has_none(t
         TWO_RUNS.replace("{idm: {kind: idm}}", "{idm: {kind: idm}, left: {kind: sumo}}")
     )
     runs = expand(*load_batch(str(tmp_path / "shared.yaml")))
-    found = _shared_warm_ups(runs[:3], Path("scratch"))
-    by_seed: dict[int, list] = {}
-    for run in runs[:3]:
-        by_seed.setdefault(run.scenario.seed, []).append(found[run.id])
-    alone, both = sorted(by_seed.values(), key=len)
+    ordered = in_order_of_warm_ups(runs[:3])
+    found = _shared_warm_ups(ordered, Path("scratch"))
+    alone, both = sorted(([run for run in ordered if run.scenario.seed == seed] for seed in (1, 2)), key=len)
     assert [len(alone), len(both)] == [1, 2]
-    assert alone[0][1] is None
-    (first_place, first), (second_place, second) = both
-    assert first_place == second_place
-    assert first is not None
-    assert second is not None
+    assert alone[0].id not in found
+    first, second = (found[run.id] for run in both)
     assert first.key == second.key
+    assert ordered.index(both[1]) == ordered.index(both[0]) + 1

@@ -48,6 +48,26 @@ def test_every_run_ends_in_the_tables_and_the_manifest(short):
         }
 
 
+def test_a_batch_in_shards_says_what_one_in_folders_says(short, tmp_path):
+    (tmp_path / "short.yaml").write_text(SHORT + "shards: {runs: 3, tables: {steps: [time, role, v]}}\n")
+    done = in_this_process(main, "batch", "short.yaml", "--out", "two", cwd=tmp_path)
+    assert "4 of 4 finished, 0 failed" in done.stdout
+    assert sorted(path.suffix for path in (tmp_path / "two/groups").iterdir()) == [".parquet"] * 2
+    assert not list((tmp_path / "two/runs").iterdir())
+    for arguments in (("results", "two"), ("results", "two", "--compare", "gri,idm"), ("results", "two", "--runs")):
+        folders, shards = (in_this_process(main, *arguments, cwd=place) for place in (short, tmp_path))
+        assert folders.stdout == shards.stdout
+    assert len(pd.read_parquet(tmp_path / "two/steps", columns=["run", "v"])) > 0
+    report = in_this_process(main, "report", "two", "--out", "report.html", cwd=tmp_path)
+    assert report.returncode == 0
+    assert "4 runs are in shards and cannot be shown here" in (tmp_path / "report.html").read_text()
+    run = json.loads((tmp_path / "two/manifest.json").read_text())["runs"][0]["run"]
+    in_this_process(main, "batch", "short.yaml", "--only", run, "--out", "again", cwd=tmp_path)
+    assert tables(tmp_path / "again") == {
+        name: content for name, content in tables(short / "two").items() if name.startswith(f"runs/{run}")
+    }
+
+
 def test_pandas_reads_the_tables_as_they_are(short):
     groups = pd.read_parquet(short / "two/groups")
     assert {"run", "scenario", "policy", "perturbation", "intensity", "variant", "seed", "driver"} <= set(groups)
