@@ -8,8 +8,9 @@ from pathlib import Path
 
 from tests.mutation.equivalent import EQUIVALENT
 from tests.mutation.mutants import mutants
+from tests.mutation.session import Chosen, keys_of
 from tests.mutation.targets import TARGETS
-from tests.mutation.which_tests import Only, Watch
+from tests.mutation.which_tests import Watch
 
 pytest_plugins = ["pytester"]
 
@@ -41,6 +42,20 @@ def test_one_thing_is_changed_at_a_time():
         *(("f", whole.replace(before, after)) for before, after in wanted),
         ("C.m", whole.replace("-self", "self")),
     }
+
+
+def test_no_mutant_is_drawn_that_was_held_out():
+    held_out = Chosen(7, 15).of("m", 100)
+    others = Chosen(1, 0, held_out=(7, 15)).of("m", 100)
+    assert len(held_out) == 15
+    assert sorted(held_out + others) == list(range(100))
+    assert sorted(Chosen(1, 0).of("m", 100)) == list(range(100))
+
+
+def test_a_mutant_keeps_its_key_when_lines_move():
+    keys = keys_of(list(mutants("m", SOURCE)))
+    assert len(set(keys)) == len(keys)
+    assert keys_of(list(mutants("m", "X = 4\n" + SOURCE))) == keys
 
 
 def test_every_module_has_mutants_and_its_tests_exist():
@@ -77,9 +92,3 @@ def test_a_watched_run_knows_the_tests_of_a_function(pytester):
     found = {name: set(tests) for name, tests in watch.found().items()}
     every = {f"test_it.py::test_{name}" for name in ("loads", "text", "other")}
     assert found == {"loads": {"test_it.py::test_loads"}, "dumps": every}
-    only = Only(["test_it.py::test_other", "test_it.py::test_loads"])
-    run = pytester.inline_run("-p", "no:cacheprovider", plugins=[only])
-    assert [report.nodeid for report in run.getreports("pytest_runtest_logreport") if report.when == "call"] == [
-        "test_it.py::test_other",
-        "test_it.py::test_loads",
-    ]

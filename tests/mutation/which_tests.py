@@ -1,13 +1,13 @@
 """Which tests of a module run which of its functions, and how long each of them takes.
 
-A plugin of pytest. In a first run `Watch` notes what the tests run; in later ones `Only` picks the tests that run one
-function, the shortest first, so that most mutants are noticed within a second.
+A plugin of pytest. In a first run `Watch` notes what the tests run; later ones run only the tests of one function, the
+shortest first, so that most mutants are noticed within a second.
 """
 
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Generator, Iterable, Mapping
+from collections.abc import Generator, Mapping
 from types import CodeType, FrameType
 from typing import Any
 
@@ -24,6 +24,7 @@ class Watch:
         self._names = {code: name for name, code in functions.items()}
         self._run: dict[str, set[str]] = defaultdict(set)  # by test, or by file for fixtures
         self._seconds: dict[str, float] = {}
+        self.last = ""
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_setup(self, item: pytest.Item) -> Generator[None, Any, Any]:
@@ -38,6 +39,7 @@ class Watch:
             if event == "call" and (name := self._names.get(frame.f_code)):
                 self._run[owner].add(name)
 
+        self.last = test
         began, before = time.perf_counter(), sys.getprofile()
         sys.setprofile(watch)
         try:
@@ -53,14 +55,3 @@ class Watch:
             for name in self._run[test] | self._run[test.partition("::")[0]]:
                 found[name][test] = seconds
         return dict(found)
-
-
-class Only:
-    """Keeps the named tests, in this order."""
-
-    def __init__(self, tests: Iterable[str]) -> None:
-        self._place = {test: k for k, test in enumerate(tests)}
-
-    @pytest.hookimpl(trylast=True)
-    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
-        items[:] = sorted((i for i in items if i.nodeid in self._place), key=lambda item: self._place[item.nodeid])
