@@ -34,7 +34,7 @@ def overlapping_pairs(
     centre, along = xy.T - 0.5 * length * forward, np.abs(forward)
     half_extent = 0.5 * (length * along + width * along[::-1])  # of the axis-parallel bounding box, in x and y
     close = np.abs(centre[:, None] - centre[:, rows, None]) < half_extent[:, None] + half_extent[:, rows, None]
-    near = close[0] & close[1]  # Shape: (R, V)
+    near = np.logical_and(*close)  # Shape: (R, V)
     near[np.arange(len(rows)), rows] = False
     if not near.any():
         return np.empty((0, 2), dtype=int)

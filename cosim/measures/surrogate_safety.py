@@ -86,7 +86,7 @@ def drac(follower: Track, leader: Track) -> Times:
 
 def time_headway(follower: Track, leader: Track) -> Times:
     """Time [s] from front bumper to front bumper at the follower's speed: (s_j − s_i) / v_i."""
-    with np.errstate(divide="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(behind(follower, leader), (leader.s - follower.s) / follower.v, np.inf)
 
 
@@ -106,7 +106,7 @@ def pet(second: Track, first: Track, below: float = np.inf) -> float:
         if (lag - PET_SUBSTEPS) * part >= below:
             break
         if _overlap_after(late, early, lag):
-            exact = next(k for k in range(max(lag - PET_SUBSTEPS + 1, 0), lag + 1) if _overlap_after(late, early, k))
+            exact = next((k for k in range(max(lag - PET_SUBSTEPS, 0), lag) if _overlap_after(late, early, k)), lag)
             return exact * float(first.time[1] - first.time[0]) / PET_SUBSTEPS  # not · part: it rounds otherwise
     return np.inf
 
@@ -114,7 +114,7 @@ def pet(second: Track, first: Track, below: float = np.inf) -> float:
 def _interpolated_boxes(track: Track) -> Boxes:
     """The boxes of one vehicle, PET_SUBSTEPS per step."""
     steps = np.arange(len(track.time))
-    fine = np.arange(0, len(steps) - 1 + 1e-9, 1 / PET_SUBSTEPS)
+    fine = np.linspace(steps[0], steps[-1], PET_SUBSTEPS * steps[-1] + 1)
     x, y, heading = (np.interp(fine, steps, value) for value in (*track.xy.T, np.unwrap(track.heading)))
     return _boxes_of(track, np.stack([x, y], axis=1), heading)
 
@@ -126,8 +126,8 @@ def _boxes_of(track: Track, xy: Float[np.ndarray, "U 2"], heading: Float[np.ndar
 def _overlap_after(late: Boxes, early: Boxes, lag: int) -> bool:
     """Whether `late` at any instant overlaps `early` of `lag` substeps before; only close vehicles are tested."""
     count = len(early.xy) - lag
-    reach = sum(float(boxes.length[0] + boxes.width[0]) for boxes in (late, early))
-    near = np.abs(late.xy[lag:] - early.xy[:count]).max(axis=-1) < reach
+    reach = sum(float((boxes.length + boxes.width).max()) for boxes in (late, early))
+    near = np.abs(late.xy[lag:] - early.xy[:count]).max(axis=1) < reach
     if not near.any():
         return False
     ours, theirs = (np.flatnonzero(near) + shift for shift in (lag, 0))
@@ -215,7 +215,8 @@ def conflicts(members: Sequence[Track], driven: Sequence[int], others: Sequence[
 
 def _common(pairs: Sequence[tuple[Track, Track]]) -> list[tuple[Track, Track]]:
     """The pairs at the instants at which both are present, without those that never are."""
-    return [both for i, j in pairs if len((both := _common_instants(i, j))[0].time)]
+    together = (_common_instants(i, j) for i, j in pairs)
+    return [(i, j) for i, j in together if len(i.time)]
 
 
 def _worst(pairs: Sequence[tuple[Track, Track]]) -> dict[str, float]:

@@ -7,9 +7,9 @@ that process, in which the code of one function is replaced and those tests that
 first failure, the shortest first. Prints the survivors, and the share that was noticed with its 95 % interval. A mutant
 that changes nothing that can be seen counts as a survivor, unless `equivalent.py` names it and says why nobody can see
 it; those do not count. With a log, mutants that it has are not tried again, so that a long search can be stopped and
-continued; survivors are, with `--again`. `--hold-out 7` leaves out what `--seed 7 --per-module 15` draws: who writes
-tests for what survives there has a sample that was never looked at. `--control` replaces the code of each function by
-the same code instead; no test may fail then.
+continued; survivors are, with `--again`. `--without-sixth 7` leaves out every sixth mutant, and `--sixth 7` tries only
+those: who writes tests for what survives there has a sample that was never looked at. `--control` replaces the code of
+each function by the same code instead; no test may fail then.
 """
 
 import argparse
@@ -22,8 +22,6 @@ import numpy as np
 from tests.mutation.session import Chosen, search
 from tests.mutation.targets import TARGETS
 
-HELD_OUT = 15  # mutants of each module
-
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -31,7 +29,9 @@ def main() -> None:
     parser.add_argument("--log", type=Path, help="a file of outcomes to continue")
     parser.add_argument("--module", choices=list(TARGETS), action="append", help="only this module; repeatable")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--hold-out", type=int, metavar="SEED", help="leave out the 15 of each module of this seed")
+    sixth = parser.add_mutually_exclusive_group()
+    sixth.add_argument("--sixth", type=int, metavar="SEED", help="only one sixth of all mutants, chosen by this seed")
+    sixth.add_argument("--without-sixth", type=int, metavar="SEED", help="all but this sixth")
     parser.add_argument("--again", action="store_true", help="try those once more that survived according to the log")
     parser.add_argument("--control", action="store_true", help="change nothing: every function should survive")
     given = parser.parse_args()
@@ -39,8 +39,10 @@ def main() -> None:
     if given.log and given.log.is_file():
         tried = dict(map(json.loads, given.log.read_text().splitlines()))
     known = {key: outcome for key, outcome in tried.items() if not (given.again and outcome == "passed")}
-    held_out = None if given.hold_out is None else (given.hold_out, HELD_OUT)
-    chosen = Chosen(given.seed, given.per_module, held_out, given.control)
+    without = given.without_sixth is not None
+    chosen = Chosen(
+        given.seed, given.per_module, given.without_sixth if without else given.sixth, without, given.control
+    )
     every, by_module = 0, dict[str, Counter[str]]()
     for module in given.module or TARGETS:
         counts = by_module[module] = Counter[str]()

@@ -14,6 +14,7 @@ import sys
 import tempfile
 import time
 import traceback
+import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -39,21 +40,28 @@ Outcome = tuple[str, str, str]
 
 @dataclass(frozen=True)
 class Chosen:
-    """Which mutants of each module are tried; `held_out` is the seed and number of those that are not."""
+    """Which mutants of each module are tried: `per_module` of them, drawn with `seed`; 0: all.
+
+    `sixth` is the seed of one sixth of all mutants, which stays the same when code is added; only these are tried, or
+    with `without` only the others.
+    """
 
     seed: int
     per_module: int
-    held_out: tuple[int, int] | None = None
+    sixth: int | None = None
+    without: bool = False
     control: bool = False
 
-    def of(self, module: str, number: int) -> list[int]:
-        """A sample without replacement of so many mutants."""
-
-        def drawn(seed: int, per_module: int, found: list[int]) -> list[int]:
-            return random.Random(f"{module} {seed}").sample(found, min(per_module or len(found), len(found)))
-
-        left_out = drawn(*self.held_out, list(range(number))) if self.held_out else []
-        return drawn(self.seed, self.per_module, sorted(set(range(number)) - set(left_out)))
+    def of(self, keys: Sequence[str]) -> list[int]:
+        """The indices of these mutants."""
+        found = [
+            k
+            for k, key in enumerate(keys)
+            if self.sixth is None or (zlib.crc32(f"{self.sixth} {key}".encode()) % 6 == 0) != self.without
+        ]
+        module = keys[0].partition(":")[0] if keys else ""
+        number = min(self.per_module or len(found), len(found))
+        return random.Random(f"{module} {self.seed}").sample(found, number)
 
 
 def search(
@@ -127,8 +135,8 @@ class Search:
             codes = codes_of(ast.parse(source), str(module.__file__))
             tasks = [(name, name, name, codes[name]) for name in known if name in codes]
         else:
-            keys, drawn = keys_of(every), self._chosen.of(self._name, len(every))
-            tasks = [(keys[k], str(every[k]), every[k].function, every[k]) for k in drawn]
+            keys = keys_of(every)
+            tasks = [(keys[k], str(every[k]), every[k].function, every[k]) for k in self._chosen.of(keys)]
         for key, text, name, change in tasks:
             if isinstance(change, Mutant) and change.name in EQUIVALENT:
                 outcome = "equivalent"

@@ -44,12 +44,13 @@ def test_one_thing_is_changed_at_a_time():
     }
 
 
-def test_no_mutant_is_drawn_that_was_held_out():
-    held_out = Chosen(7, 15).of("m", 100)
-    others = Chosen(1, 0, held_out=(7, 15)).of("m", 100)
-    assert len(held_out) == 15
-    assert sorted(held_out + others) == list(range(100))
-    assert sorted(Chosen(1, 0).of("m", 100)) == list(range(100))
+def test_a_sixth_of_the_mutants_can_be_kept_for_later():
+    keys = [f"m: f: x: {k}" for k in range(600)]
+    kept, others = Chosen(1, 0, 7).of(keys), Chosen(2, 0, 7, without=True).of(keys)
+    assert sorted(kept + others) == sorted(Chosen(1, 0).of(keys)) == list(range(600))
+    assert 70 < len(kept) < 130
+    assert {keys[k] for k in kept} >= {keys[k] for k in Chosen(1, 10, 7).of(keys)}
+    assert {f"{keys[k]}" for k in kept} == {("x", *keys)[k] for k in Chosen(1, 0, 7).of(("x", *keys)) if k}
 
 
 def test_a_mutant_keeps_its_key_when_lines_move():

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cosim.measures.collision_detection import box_centre, overlapping_pairs
+from cosim.measures.collision_detection import Boxes, box_centre, boxes_overlap, overlapping_pairs
 from cosim.measures.surrogate_safety import net_gap, time_to_collision
 
 
@@ -37,6 +37,18 @@ def test_rotated_box_needs_its_own_axes():
     far, near = (2.5, 0.5, -np.pi / 4), (1.8, 0.5, -np.pi / 4)
     assert not overlapping_pairs(*_boxes((0, 0, 0), far), np.array([0])).size
     assert overlapping_pairs(*_boxes((0, 0, 0), near), np.array([0])).size
+
+
+def test_the_exact_test_alone_knows_touching_from_overlapping():
+    """4 m long and 2 m wide: 4 m along and 2 m across touch; a right angle needs (4 + 2)/2 = 3 m between centres."""
+    one = Boxes(*_boxes(*[(0, 0, 0)] * 6))
+    other = Boxes(*_boxes((3.5, 0, 0), (4, 0, 0), (5, 0, 0), (0, 1.5, 0), (0, -2, 0), (0, -3, 0)))
+    assert boxes_overlap(one, other).tolist() == [True, False, False, True, False, False]
+    crossing = Boxes(
+        *_boxes(*[(x, 2, np.pi / 2) for x in (0.875, 1.125, -4.875, -5.125)])
+    )  # their centres are at (x, 0)
+    assert boxes_overlap(one[np.arange(4)], crossing).tolist() == [True, False, True, False]
+    assert boxes_overlap(crossing, one[np.arange(4)]).tolist() == [True, False, True, False]
 
 
 def test_a_box_does_not_hit_itself_and_rows_select_the_tested_vehicles():

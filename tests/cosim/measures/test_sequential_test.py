@@ -81,6 +81,29 @@ def test_a_decision_stands_whatever_comes_later():
     assert decide(clear[: found.clusters - 1], 0.05).better == 0
 
 
+def test_evidence_by_hand():
+    """Stakes λ = 0.05, 0.10, …, 0.95; their squares are 0.325 on average.
+
+    After one cluster of difference 1 it is ((1 + λ) + (1 − λ))/2 = 1; after two ((1 + λ)² + (1 − λ)²)/2 = 1 + λ². The
+    second cluster of difference −1 leaves 1 − λ² of both.
+    """
+    assert decide(np.array([1.0]), 0.05).e_value == pytest.approx(1.0)
+    assert decide(np.array([1.0, 1.0]), 0.05).e_value == pytest.approx(1.325)
+    assert decide(np.array([1.0, -1.0]), 0.05).e_value == pytest.approx(0.675)
+    undecided = decide(np.array([1.0, 0.5]), 0.05)
+    assert (undecided.better, undecided.clusters, undecided.mean_difference) == (0, 2, 0.75)
+    decided = decide(np.array([0.5, 1.0, 1.0, -1.0]), 1 / 1.6)  # 1 + λ²·(0.5 + 0.5 + 1) = 1.65 after three
+    assert (decided.better, decided.clusters) == (1, 3)
+    assert decided.e_value == pytest.approx(1.65)
+    assert decided.mean_difference == pytest.approx(2.5 / 3)
+
+
+def test_without_clusters_there_is_no_evidence():
+    found = decide(np.array([]), 0.05)
+    assert (found.better, found.e_value, found.clusters) == (0, 1.0, 0)
+    assert np.isnan(found.mean_difference)
+
+
 def test_values_out_of_range_are_refused():
     with pytest.raises(AssertionError, match=r"in \[−1, 1\]"):
         capital(np.array([1.5]))

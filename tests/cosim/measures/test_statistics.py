@@ -48,6 +48,40 @@ def test_a_mean_by_hand():
     assert 3 - found.low == pytest.approx(found.high - 3)
 
 
+def test_two_clusters_are_enough_for_an_interval():
+    """1 and 3: mean 2, s.e. 1, t(1) = 12.706; of shares the exact interval of 2·(1.96/12.706)²/2 starts."""
+    two = mean(np.array([1.0, 3.0]), alone(2))
+    assert (two.low, two.high) == pytest.approx((2 - 12.7062, 2 + 12.7062), abs=1e-4)
+    n = 2 * (NORMAL / stats.t.ppf(0.975, 1)) ** 2 / 2
+    half = share(np.array([True, False]), alone(2))
+    assert (half.low, half.high) == pytest.approx(
+        (stats.beta.ppf(0.025, n / 2, n / 2 + 1), stats.beta.ppf(0.975, n / 2 + 1, n / 2))
+    )
+
+
+@pytest.mark.parametrize("happened", [False, True])
+def test_what_happens_never_or_always_in_one_cluster_has_no_interval(happened: bool):
+    found = share(np.full(5, happened), np.zeros(5))
+    assert found.value == happened
+    assert np.isnan([found.low, found.high]).all()
+
+
+def test_what_always_happens_has_the_upper_end_1():
+    """100 of 100 in ten clusters is 0 of 100 the other way round."""
+    clusters = np.repeat(np.arange(10), 10)
+    never, always = share(np.zeros(100, dtype=bool), clusters), share(np.ones(100, dtype=bool), clusters)
+    assert (always.low, always.high) == pytest.approx((1 - never.high, 1.0))
+
+
+def test_the_median_of_tied_values_by_hand():
+    """Six of ten values are the median: 60 % are at most it; the interval is that of 10 · 0.9 · (1.96/t₉)² starts."""
+    values = np.array([0.0] * 6 + [1.0, 2.0, 3.0, 4.0])
+    n = 0.9 * 10 * (NORMAL / stats.t.ppf(0.975, 9)) ** 2
+    found = median(values, alone(10))
+    assert (found.value, found.low) == (0.0, 0.0)
+    assert found.high == pytest.approx(np.quantile(values, stats.beta.ppf(0.975, n / 2 + 1, n / 2)))
+
+
 def test_a_mean_of_single_starts_has_students_interval(rng):
     values = rng.exponential(size=30)
     low, high = stats.ttest_1samp(values, 0).confidence_interval()
@@ -125,6 +159,40 @@ def test_sign_flips_by_hand():
     assert paired_difference(np.array([1.0]), np.zeros(1), alone(1)).p == 1.0  # its sign says nothing
 
 
+def test_two_differences_have_four_signs():
+    """1 and 2: two of the four ways to sign them reach a mean of 1.5 or −1.5."""
+    assert paired_difference(np.array([1.0, 2.0]), np.zeros(2), alone(2)).p == pytest.approx(0.5)
+
+
+def test_a_difference_of_numbers_has_the_interval_of_its_mean():
+    a, b = np.array([1.0, 0.5, 0.25, 0.75]), np.array([0.5, 0.25, 0.25, 0.0])
+    assert paired_difference(a, b, alone(4)).difference == mean(a - b, alone(4))
+
+
+@pytest.mark.parametrize("n", [2, 4])
+def test_a_difference_of_shares_has_the_interval_with_one_start_more_for_either(n: int):
+    """Only a happened at the first of n starts: 1, 0, … and for the second interval 1, 0, …, 1, −1 (Bonett, Price)."""
+    a = np.arange(n) == 0
+    plain = stats.ttest_1samp(a.astype(float), 0).confidence_interval()
+    added = stats.ttest_1samp([*a.astype(float), 1.0, -1.0], 0).confidence_interval()
+    found = paired_difference(a, np.zeros(n, dtype=bool), alone(n)).difference
+    wanted = max(min(plain.low, added.low), -1.0), min(max(plain.high, added.high), 1.0)
+    assert (found.value, found.low, found.high) == pytest.approx((1 / n, *wanted))
+    assert (found.n, found.clusters) == (n, n)
+
+
+def test_a_difference_of_shares_is_within_minus_1_and_1():
+    always, never = np.ones(3, dtype=bool), np.zeros(3, dtype=bool)
+    assert paired_difference(always, never, alone(3)).difference.high == 1.0
+    assert paired_difference(never, always, alone(3)).difference.low == -1.0
+
+
+def test_a_difference_of_shares_in_one_cluster_has_no_interval():
+    found = paired_difference(np.array([True, True]), np.array([True, False]), np.zeros(2)).difference
+    assert found.value == 0.5
+    assert np.isnan([found.low, found.high]).all()
+
+
 def test_sign_flips_of_single_booleans_are_mcnemars_test():
     """Of 20 pairs a alone happens 6 times, b alone once: p = 2·(C(7,0) + C(7,1))/2⁷ = 0.125."""
     a = np.array([True] * 6 + [False] + [True] * 5 + [False] * 8)
@@ -182,6 +250,11 @@ def test_benjamini_and_hochbergs_example():
     assert (found < 0.05).sum() == 4
     assert np.isnan(found[-1])
     assert found[1] == pytest.approx(15 * 0.0001)
+
+
+def test_tests_without_a_p_value_are_not_corrected():
+    assert np.isnan(corrected(np.array([np.nan, np.nan]))).all()
+    assert corrected(np.array([np.nan, 0.04]))[1] == 0.04
 
 
 def test_correction_keeps_false_discoveries_rare(rng):

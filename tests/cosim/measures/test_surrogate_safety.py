@@ -48,6 +48,10 @@ def test_the_smallest_gap_is_to_a_vehicle_in_the_path():
     assert found["min_gap"] == 25.0
 
 
+def test_standing_side_by_side_has_no_headway():
+    assert surrogate_safety.time_headway(track(5.0, 0.0), track(5.0, 0.0, d=3.5)).tolist() == [np.inf, np.inf]
+
+
 def test_a_gap_that_opens_is_no_conflict():
     rear, front = track(0.0, 10.0), track(30.0, 12.0)
     assert np.isinf(surrogate_safety.ttc(rear, front)).all()
@@ -58,6 +62,24 @@ def test_bumper_to_bumper_at_the_same_speed_needs_no_braking():
     rear, front = track(0.0, 10.0), track(5.0, 10.0)
     assert surrogate_safety.gap(rear, front).tolist() == [0.0, 0.0]
     assert surrogate_safety.drac(rear, front).tolist() == [0.0, 0.0]
+
+
+def test_measures_of_following_begin_with_any_closing_speed():
+    """10 m net at 0.5 m/s closing: TTC 20 s, DRAC 0.25/20."""
+    rear, front = track(0.0, 10.5), track(15.0, 10.0)
+    assert surrogate_safety.ttc(rear, front).tolist() == [20.0, 20.0]
+    assert surrogate_safety.drac(rear, front).tolist() == [0.0125, 0.0125]
+
+
+def test_bumper_to_bumper_at_the_same_speed_never_collides():
+    assert surrogate_safety.ttc(track(0.0, 10.0), track(5.0, 10.0)).tolist() == [np.inf, np.inf]
+
+
+def test_a_vehicle_is_in_the_path_if_their_widths_overlap():
+    """2 m and 1 m wide: they overlap up to 1.5 m between their centres; touching is no overlap."""
+    rear, front = track(0.0, 10.0, d=[-0.5, -0.5]), track(20.0, 10.0, d=[0.9375, 1.0], width=1.0)
+    assert surrogate_safety.behind(rear, front).tolist() == [True, False]
+    assert surrogate_safety.behind(rear, track(0.0, 10.0)).tolist() == [False, False], "side by side"
 
 
 def test_pet_of_following_is_the_time_gap_that_was_kept():
@@ -84,6 +106,54 @@ def test_pet_of_a_merge_counts_only_where_the_first_was_in_the_lane():
     first = track(15 + 10 * longer, 10.0, np.where(longer > 2.95, 0.0, -3.5) - 9 * (longer > 5.05), time=longer)
     assert surrogate_safety.pet(track(20 * longer - 50, 20.0, time=longer), first) == pytest.approx(0.5, abs=0.03)
     assert surrogate_safety.pet(track(20 * longer - 10, 20.0, time=longer), first) == 0.0
+
+
+def crossing_track(x: float, front, v: float, time, heading=np.pi / 2, **options) -> Track:
+    """A vehicle at a right angle to the road, at `x`; `front` is where its bumper is across the road."""
+    plain = track(np.full(len(time), float(x)), v, front, time=time, **options)
+    return replace(plain, heading=np.full(len(time), heading))
+
+
+def test_pet_of_a_crossing_by_hand():
+    """At x = 0 one vehicle crosses to the left with 10 m/s; its rear leaves the lane, d = 1, at 0.6 s.
+
+    The other comes along the road with 10 m/s: its front is at x = −1, the side of the first one, at 2 s.
+    """
+    for begins in (0.0, 500.0):  # on the clock
+        time = np.arange(0, 4.05, 0.1)
+        first = crossing_track(0.0, 10 * time, 10.0, begins + time)
+        second = track(10 * time - 21.0, 10.0, time=begins + time)
+        assert surrogate_safety.pet(second, first) == pytest.approx(1.4, abs=0.021)
+        assert surrogate_safety.pet(second, first, below=1.35) in (np.inf, pytest.approx(1.4, abs=0.021))
+        assert surrogate_safety.pet(second, first, below=1.45) == pytest.approx(1.4, abs=0.021)
+        assert surrogate_safety.pet(first, second) == np.inf
+
+
+@pytest.mark.parametrize("substeps", [29, 30, 31, 35])
+def test_pet_is_exact_to_a_tenth_of_a_step(substeps: int):
+    """Both drive 1 m per tenth of a step; n + 0.5 m between rear and front close to less than 0 after n + 1 tenths."""
+    time = np.arange(0, 9.0)
+    rear, front = track(10 * time, 10.0, time=time), track(5 + substeps - 0.5 + 10 * time, 10.0, time=time)
+    assert surrogate_safety.pet(rear, front) == substeps / 10
+
+
+def test_vehicles_that_touch_at_the_first_instant_alone_have_no_time_between_them():
+    """The one ahead begins with its rear 1 m inside the other, and drives away with 30 m/s."""
+    ahead, standing = track([4.0, 34.0, 64.0], 30.0, time=[0, 1, 2]), track(0.0, 0.0, time=[0, 1, 2])
+    assert surrogate_safety.pet(ahead, standing) == 0.0
+
+
+def test_a_vehicle_that_drives_inside_the_one_behind_it_has_no_time_between_them():
+    time = np.arange(0, 3.05, 0.1)
+    rear, front = track(10 * time, 10.0, time=time), track(4 + 10 * time, 10.0, time=time)
+    assert surrogate_safety.pet(front, rear) == 0.0
+
+
+def test_vehicles_back_to_back_are_in_contact_where_their_rears_overlap():
+    """Fronts at 0 and −9.5, 5 m long, in opposite directions: rears at −5 and −4.5."""
+    one, other = track(0.0, 0.0), replace(track(-9.5, 0.0), heading=np.full(2, np.pi))
+    assert surrogate_safety.pet(other, one) == 0.0
+    assert surrogate_safety.pet(replace(other, xy=other.xy - [1.0, 0.0]), one) == np.inf
 
 
 def test_box_distance_by_hand():
@@ -127,10 +197,13 @@ def test_comfort_by_hand():
     assert surrogate_safety.brakings(braking) == 2
     assert surrogate_safety.brakings(track(0.0, 10.0, a=-5.0)) == 1
     assert surrogate_safety.brakings(braking, 0.5) == 1, "the vehicle brakes on from 0.5 s to the end"
+    assert surrogate_safety.brakings(braking, 5.0) == 1, "only the last one is harder than 5"
 
 
 def test_lateral_change_and_effect_by_hand():
-    """Together from 3.5 to 0.5 m: Δy = −3. A follower that brakes from 12 to 9 m/s loses 3."""
+    """Together from 3.5 to 0.5 m: Δy = −3, wherever the lane is. A follower that brakes from 12 to 9 m/s loses 3."""
+    one, other = track(0.0, 1.0, d=[13.5, 9.0, 10.5], time=[0, 1, 2]), track(9.0, 1.0, d=10.0, time=[0, 1, 2])
+    assert surrogate_safety.lateral_change(one, other) == -3.0
     assert surrogate_safety.lateral_change(track(0.0, 1.0, d=[3.5, 0.5]), track(9.0, 1.0)) == -3.0
     effect = surrogate_safety.effect_on(track(0.0, [12.0, 9.0, 11.0], time=[0, 1, 2], a=[-7.0, -3.0, 2.0]))
     assert effect == {"follower_min_acceleration": -3.0, "follower_speed_loss": 3.0}
@@ -146,6 +219,49 @@ def test_conflicts_are_the_worst_of_all_pairs_with_a_driven_vehicle_behind():
     assert found["min_headway"] == 2.0
     assert surrogate_safety.conflicts(tracks[:2], (1,))["min_ttc"] == np.inf, "0 runs into 1, which is not its doing"
     assert surrogate_safety.conflicts((tracks[0], tracks[2]), (0,))["min_ttc"] == 9.0  # 50 − 5 m net, at 5 m/s
+
+
+def test_a_vehicle_without_others_has_no_conflicts():
+    found = surrogate_safety.conflicts([track(0.0, 15.0)], (0,))
+    assert found.pop("max_drac") == found.pop("max_drac_to_others") == 0.0
+    assert set(found.values()) == {np.inf}
+
+
+def test_a_conflict_of_one_instant_has_no_pet_and_one_of_two_instants_has():
+    rear, front = track([0.0, 10.0], 10.0), track([4.0, 14.0], 10.0)
+    assert surrogate_safety.conflicts((rear, front), (0,))["min_pet"] == 0.0
+    found = surrogate_safety.conflicts((rear[:1], front[:1]), (0,))
+    assert (found["min_distance"], found["min_pet"]) == (0.0, np.inf)
+
+
+@pytest.mark.parametrize("aside", [0.0, 40.0])
+@pytest.mark.parametrize("speed", [10.0, 1.0])
+def test_conflicts_find_the_pet_of_vehicles_that_cross_the_road(speed: float, aside: float):
+    """A vehicle drives across the road to the left, over the place where a standing one has its rear.
+
+    At x = −5.9 its right side is at −4.9, 0.1 m inside the standing one. Its body is 5 m behind its front, so that it
+    is still there when its front is 3.5 m beside the road. The one that stands in its way is met at the same time.
+    """
+    time = np.arange(0, 3.05, 0.1)
+    standing = track(0.0, 0.0, aside, time=time)
+    for front in (speed * time - 1.5, speed * time + 3.5):
+        passing = crossing_track(-5.9, aside + front, speed, time)
+        assert surrogate_safety.conflicts((passing, standing), (0,))["min_pet"] == 0.0
+        assert surrogate_safety.conflicts((standing, passing), (0,))["min_pet"] == 0.0
+        clear = crossing_track(-6.1, aside + front, speed, time)
+        assert surrogate_safety.conflicts((clear, standing), (0,))["min_pet"] == np.inf
+
+
+def test_conflicts_find_the_pet_of_a_standing_vehicle_at_an_angle():
+    """It is turned by 0.2 rad: its rear corner is 5·sin 0.2 + cos 0.2 = 1.97 m beside its front.
+
+    The side of the other vehicle is 1.7 m beside it, and passes the corner.
+    """
+    time = np.arange(0, 3.05, 0.1)
+    turned = replace(track(0.0, 0.0, time=time), heading=np.full(len(time), 0.2))
+    passing = track(10 * time - 15.0, 10.0, -2.7, time=time)
+    assert surrogate_safety.conflicts((passing, turned), (0,))["min_pet"] == 0.0
+    assert surrogate_safety.conflicts((turned, passing), (0,))["min_pet"] == 0.0
 
 
 def test_the_pair_of_the_second_and_the_first_leader_counts_as_any_other():
