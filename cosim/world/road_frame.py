@@ -100,7 +100,7 @@ class RoadFrame:
         line, normals = self.points, self.normals
         if normals is None:
             line = with_corner_vertices(line)
-            normals = corner_normals(line)
+            normals = self.side * corner_normals(line)  # to the side of positive d
         if not self.is_straight:
             before, after = (EXTENSION * step for step in directions(line)[[0, -1]])
             line = np.concatenate([line[:1] - before, line, line[-1:] + after])

@@ -84,7 +84,7 @@ def _point_mass_1d_step(
 
 
 def _point_mass_1d_inverse(state: State, next_state: State, dt: float) -> Action:
-    return (next_state[..., 2:3] - state[..., 2:3]) / dt
+    return (next_state[..., 2:] - state[..., 2:]) / dt
 
 
 @cache_tensors
@@ -111,14 +111,14 @@ def _dubins_step(
 
 
 def _dubins_inverse(state: State, next_state: State, dt: float) -> Action:
-    return (next_state[..., 4:6] - state[..., 4:6]) / dt
+    return (next_state[..., 4:] - state[..., 4:]) / dt
 
 
 def _point_mass_2d_step(
     state: Float[Array, "*batch 6"], action: Float[Array, "*batch 2"], dt: float
 ) -> Float[Array, "*batch 6"]:
     """Each axis moves as the 1-D point mass does (Sec. VI-D: the recorded data has no heading)."""
-    position, v, a = state[..., 0:2], state[..., 2:4], state[..., 4:6]
+    position, v, a = state[..., :2], state[..., 2:4], state[..., 4:]
     return functions_for(state).join([position + v * dt + 0.5 * a * dt**2, v + a * dt, a + action * dt])
 
 

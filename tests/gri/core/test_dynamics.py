@@ -1,3 +1,4 @@
+import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
@@ -11,6 +12,7 @@ from gri.core.dynamics import (
     constant_speed,
     dynamics_named,
     stop_at_standstill,
+    transition_matrix,
 )
 
 ALL = [POINT_MASS_1D, DUBINS, POINT_MASS_2D]
@@ -52,6 +54,56 @@ def test_standstill_ends_a_braking_after_its_distance():
     state = torch.tensor([10.0, 0.5, -2.0])
     stopped = stop_at_standstill(state, POINT_MASS_1D.step(state, torch.zeros(1), 0.5))
     torch.testing.assert_close(stopped, torch.tensor([10.0625, 0.0, 0.0]))
+
+
+@pytest.mark.parametrize(
+    ("state", "moved", "wanted"),
+    [
+        ([10.0, 0.2, -1.0], [10.02, 0.0, -1.0], [10.02, 0.0, -1.0]),  # it stands just now
+        ([10.0, 0.7, -1.0], [10.12, 0.5, -1.0], [10.12, 0.5, -1.0]),
+        ([10.0, 0.01, -0.1], [10.0, -0.01, -0.1], [10.0005, 0.0, 0.0]),  # 0.01²/0.2
+        ([10.0, -1.0, -0.5], [9.79, -1.1, -0.5], [10.0, 0.0, 0.0]),  # it reversed already
+        ([10.0, 0.5, 0.0], [9.9, -1.0, 0.5], [10.0, 0.0, 0.0]),  # it does not brake: no braking distance
+        ([10.0, 0.5, 0.25], [9.9, -1.0, 0.5], [10.0, 0.0, 0.0]),
+    ],
+)
+def test_standstill_by_hand(state: list[float], moved: list[float], wanted: list[float]):
+    stopped = stop_at_standstill(torch.tensor(state), torch.tensor(moved))
+    torch.testing.assert_close(stopped, torch.tensor(wanted), rtol=1e-7, atol=0)
+
+
+@pytest.mark.parametrize("speed", [0.0, 0.5])
+def test_a_dubins_car_that_does_not_reverse_is_left_alone(speed: float):
+    state = torch.tensor([10.0, 1.0, 1.0, 0.1, -2.0, 0.5])
+    moved = torch.tensor([10.1, 1.0, speed, 0.2, -2.0, 0.5])
+    assert DUBINS.stop is not None
+    assert torch.equal(DUBINS.stop(state, moved), moved)
+
+
+@pytest.mark.parametrize("dynamics", [POINT_MASS_1D, DUBINS], ids=lambda d: d.name)
+def test_the_transition_matrix_is_the_step(dynamics: Dynamics, generator: torch.Generator):
+    state = torch.randn(len(dynamics.state), generator=generator, dtype=torch.float64)
+    action = torch.randn(len(dynamics.action), generator=generator, dtype=torch.float64)
+    columns = [*state.tolist(), *action.tolist()]
+    if dynamics is DUBINS:
+        _, _, v, heading, *_ = state.tolist()
+        columns += [v * np.cos(heading), v * np.sin(heading)]
+    matrix = transition_matrix(dynamics, 0.2)
+    assert matrix is not None
+    np.testing.assert_allclose(matrix @ columns, dynamics.step(state, action, 0.2).numpy(), atol=1e-12)
+    assert transition_matrix(POINT_MASS_2D, 0.2) is None
+
+
+def test_dubins_by_hand():
+    """60° to the left at 10 m/s for 0.1 s: 0.5 m along and 0.866 m to the left; 2 and 3 per s in a step of 0.1 s."""
+    state = torch.tensor([1.0, 2.0, 10.0, np.pi / 3, 2.0, 3.0], dtype=torch.float64)
+    moved = DUBINS.step(state, torch.tensor([5.0, 7.0], dtype=torch.float64), 0.1)
+    wanted = [1.5, 2 + np.sqrt(0.75), 10.2, np.pi / 3 + 0.3, 2.5, 3.7]
+    torch.testing.assert_close(moved, torch.tensor(wanted, dtype=torch.float64))
+
+
+def test_the_speed_is_along_the_road_or_in_the_direction_of_travel():
+    assert [dynamics.state[dynamics.speed] for dynamics in ALL] == ["v", "v", "vx"]
 
 
 def test_a_dubins_car_stands_still_instead_of_reversing():
