@@ -192,7 +192,7 @@ def _effect_on_new_follower(records: DriverRecords, follow: Reaction, scene: int
     follower = np.flatnonzero(records.vehicle[scene] == records.new_follower[scene, j, t])
     window = slice(t, t + records.steps(CUT_IN_WINDOW))
     follows_j = follow.to[scene, follower, window] == records.vehicle[scene, j]
-    return float(np.where(follows_j, follow.effect[scene, follower, window], 0.0).min(initial=0.0))
+    return float(follow.effect[scene, follower, window][follows_j].min(initial=0.0))
 
 
 def _hold(numbers: VehicleNumbers, steps: int) -> VehicleNumbers:
@@ -245,7 +245,7 @@ def reduce_labels(
         strength = np.where(is_type, np.abs(labels.effect)[..., None], 0.0).max(2, initial=0.0)
         present = steps > 0
         present[..., NONE] = False
-        score = np.where(present, 1.0 + strength + 1e-6 * steps, 0.0)
+        score = np.where(present, strength + 1e-6 * steps, -np.inf)
         chosen = score.argmax(-1)  # "none", which comes first, where no interaction is present
     interactions = (steps[..., 1:] > 0).sum(-1)
     long_enough = steps[..., 1:].sum(-1) >= clear_steps
