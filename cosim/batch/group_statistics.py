@@ -60,7 +60,7 @@ class Measure:
             found = (median if self.median else mean)(values[finite], cluster[finite])
             if self.unit != "share":
                 return found
-            return replace(found, low=float(np.clip(found.low, 0, 1)), high=float(np.clip(found.high, 0, 1)))
+            return replace(found, low=max(found.low, 0.0), high=min(found.high, 1.0))
         found = share(values, cluster)
         if self.most is None:
             return found
@@ -108,16 +108,16 @@ def clusters(groups: pd.DataFrame) -> np.ndarray:
     that intervals and tests over rounds promise more than they keep.
     """
     labels = [name for name in ("scenario", "seed") if name in groups]
-    seed = groups.groupby(labels, dropna=False).ngroup().to_numpy()
+    seed = groups.groupby(labels).ngroup().to_numpy()
     if len(np.unique(seed)) >= MIN_SEEDS:
         return seed
-    return groups.groupby([*labels, "takeover_time"], dropna=False).ngroup().to_numpy()
+    return groups.groupby([*labels, "takeover_time"]).ngroup().to_numpy()
 
 
 def cluster_note(groups: pd.DataFrame) -> str:
     """One sentence on what intervals and tests of these groups take as independent."""
     labels = [name for name in ("scenario", "seed") if name in groups]
-    seeds = groups.groupby(labels, dropna=False).ngroups
+    seeds = groups.groupby(labels).ngroups
     if seeds >= MIN_SEEDS:
         return f"Intervals and tests take the {seeds} seeds as independent, not the starts."
     return (

@@ -54,8 +54,8 @@ def _earlier_d(before: Snapshot, now: Snapshot) -> Float[np.ndarray, " V"]:
     """Lateral positions [m] one snapshot earlier of the vehicles that are there now; NaN where they were not seen."""
     if before.ids == now.ids:
         return before.d
-    rows = np.array([before.row_of.get(vehicle, -1) for vehicle in now.ids], dtype=int)
-    return np.where(rows >= 0, before.d[rows], np.nan) if len(before.ids) else np.full(len(rows), np.nan)
+    d = dict(zip(before.ids, before.d.tolist(), strict=True))
+    return np.array([d.get(vehicle, np.nan) for vehicle in now.ids], dtype=float)
 
 
 def with_cause(episode: Episode, members: Sequence[str], takeover: Snapshot, trace: Sequence[Snapshot]) -> Episode:

@@ -7,6 +7,7 @@ import pytest
 from cosim.batch import group_statistics
 from cosim.batch.result_listing import comparison_table
 from cosim.batch.spec import LEFT_TO_SUMO
+from cosim.measures.statistics import mean, share
 
 
 def row(policy: str, driver: str, vehicle: str, seed: int = 1, **changes) -> dict:
@@ -42,6 +43,52 @@ def test_counterparts_stand_beside_the_policies_once_per_start(groups, counterpa
     table = group_statistics.with_counterparts(groups, counterparts)
     assert table.groupby("policy").size().to_dict() == {"x": 3, "y": 3, LEFT_TO_SUMO: 3}
     assert set(table.loc[table["policy"] != LEFT_TO_SUMO, "driver"]) == {"gri"}
+
+
+def test_rows_of_a_table_with_counterparts_can_be_told_apart(groups, counterparts):
+    assert group_statistics.with_counterparts(groups, counterparts).index.is_unique
+    none = pd.DataFrame(columns=groups.columns)
+    pd.testing.assert_frame_equal(group_statistics.with_counterparts(groups, none), groups)
+
+
+def test_a_headline_has_its_rows_in_the_order_of_the_table_and_keeps_cells_without_intensity(groups):
+    other_way = pd.concat([groups[groups["policy"] == policy] for policy in ("y", "x")], ignore_index=True)
+    table = group_statistics.headline(other_way, ["policy", "perturbation", "intensity"])
+    assert table["policy"].tolist() == ["y", "x"]
+    assert table["intensity"].isna().all()
+    assert table["runs"].tolist() == [1, 1]
+
+
+def test_the_most_of_a_share_counts_unknown_outcomes_as_happened(groups):
+    """Of three starts x completed one and lost one to an outsider: 1/3 to 2/3, with the upper end of 2/3."""
+    x = groups[groups["policy"] == "x"]
+    found = group_statistics.BY_NAME["completed_without_contact"].estimate(x)
+    most = share(np.array([True, True, False]), np.arange(3))
+    assert (found.value, found.most, found.high) == (pytest.approx(1 / 3), most.value, most.high)
+    assert found.low == share(np.array([True, False, False]), np.arange(3)).low
+    assert np.isnan(group_statistics.BY_NAME["contact"].estimate(x).most)
+
+
+def test_gaps_are_told_by_their_median_and_speeds_by_their_mean():
+    values = (1.0, 2.0, 30.0)
+    starts = pd.DataFrame([row("x", "x", f"a{k}", min_gap=x, mean_speed=x) for k, x in enumerate(values)])
+    assert group_statistics.BY_NAME["min_gap"].estimate(starts).value == 2.0
+    speed = group_statistics.BY_NAME["mean_speed"].estimate(starts)
+    assert speed == mean(np.array(values), np.arange(3))
+    assert speed.high > 1, "a speed is no share"
+
+
+def test_a_difference_leaves_out_starts_at_which_one_value_is_not_finite():
+    """Without a leader the gap is infinite: 12 − 10 and 13 − 10 are left."""
+    a = pd.DataFrame([row("x", "x", f"a{k}", min_gap=x) for k, x in enumerate((12.0, 13.0, 14.0, np.inf))])
+    b = pd.DataFrame([row("y", "y", f"a{k}", min_gap=x) for k, x in enumerate((10.0, 10.0, np.inf, 10.0))])
+    found = group_statistics.BY_NAME["min_gap"].difference(a, b).difference
+    assert (found.n, found.value) == (2, 2.5)
+
+
+def test_the_groups_are_named_beside_the_starts_only_where_they_are_more():
+    assert group_statistics.starts_text(8, 8) == "8"
+    assert group_statistics.starts_text(8, 16) == "8 (16 groups)"
 
 
 def test_interrupted_groups_count_in_the_outcome_and_in_nothing_else(groups, counterparts):

@@ -2,8 +2,10 @@
 
 import pytest
 
+from cosim.spec.scenario import AFTERMATH
 from cosim.world.break_ups import NEAR_GROUP, SAME_TIME, compared, lane_entries, with_cause
 from cosim.world.episode import BrokenUpBy, Contact, Ending, LaneEntry
+from cosim.world.groups import SAME_LANE
 from tests.cosim.world.traffic import LANE, episode, snapshot
 
 CHAIN = {"a": (0.0, 0.0), "b": (20.0, 0.0), "c": (40.0, 0.0)}
@@ -55,6 +57,78 @@ def test_a_lag_vehicle_that_drifts_out_of_the_target_lane():
     assert found.broken_up_by is BrokenUpBy.POLICY
 
 
+def test_every_vehicle_of_a_platoon_has_to_keep_the_lane_and_in_a_merge_only_the_two_in_it():
+    """Vehicle a, which is last in the platoon, and merges between the others in a merge."""
+    left = snapshot(0.2, **CHAIN | {"a": (0.0, LANE)})
+    assert judged(Ending.LANE_LEFT, left).broken_up_by is BrokenUpBy.POLICY
+    assert judged(Ending.LANE_LEFT, left, order=MERGE).broken_up_by is BrokenUpBy.UNKNOWN, "nobody left its lane"
+
+
+def test_a_jump_to_the_side_is_more_than_one_metre():
+    for moved, cause in ((SAME_LANE, BrokenUpBy.UNKNOWN), (SAME_LANE + 0.125, BrokenUpBy.POLICY)):
+        jump = snapshot(0.2, **CHAIN | {"b": (20.0, moved)})
+        assert judged(Ending.LANE_LEFT, jump).broken_up_by is cause
+        drift = snapshot(0.1, **CHAIN | {"b": (20.0, 0.5 * moved)})
+        assert judged(Ending.LANE_LEFT, drift, jump).broken_up_by is cause
+    drifted = snapshot(0.2, **CHAIN | {"b": (20.0, SAME_LANE)})
+    assert judged(Ending.CUT_IN, drifted).broken_up_by is BrokenUpBy.POLICY, "no longer in the lane"
+
+
+def test_the_cause_is_read_at_the_end_of_the_drive_whatever_comes_later():
+    """At 0.4 s c leaves the lane; b does so after the hand-back."""
+    trace = [
+        snapshot(0.2, **CHAIN),
+        snapshot(0.4, **CHAIN | {"c": (40.0, LANE)}),
+        snapshot(0.6, **CHAIN | {"b": (20.0, LANE)}),
+    ]
+    for end in (0.4, 0.4 + 5e-7, 0.4 - 5e-7):
+        cause = with_cause(episode(Ending.LANE_LEFT, end), ("a", "b", "c"), START, trace).broken_up_by
+        assert cause is BrokenUpBy.OTHERS
+    beyond = with_cause(episode(Ending.LANE_LEFT, 9.0), ("a", "b", "c"), START, trace)
+    assert beyond.broken_up_by is BrokenUpBy.POLICY, "the last snapshot, where the drive ended after it"
+
+
+def test_a_vehicle_that_is_not_there_has_not_moved_sideways():
+    """c vanished, and b came back from nowhere: nobody is seen to leave the lane."""
+    takeover = snapshot(0.0, a=(0.0, 10.0), b=(20.0, 10.0), c=(40.0, 10.0))
+    gone = snapshot(0.2, a=(0.0, 10.0), b=(20.0, 10.0))
+    assert judged(Ending.LANE_LEFT, gone, takeover=takeover).broken_up_by is BrokenUpBy.UNKNOWN
+    back = snapshot(0.4, a=(0.0, 10.0), b=(20.0, 10.0), c=(40.0, 10.0))
+    assert judged(Ending.LANE_LEFT, gone, back, takeover=takeover).broken_up_by is BrokenUpBy.UNKNOWN
+
+
+def test_only_outsiders_between_the_members_and_in_their_lane_cut_in():
+    """x came into the lane 1 s before the end; where it drives then decides whether it is the intruder."""
+    for s, d, cause in (
+        (30.0, 0.0, BrokenUpBy.UNKNOWN),
+        (0.0, 0.0, None),  # beside the last one
+        (40.0, 0.0, None),  # beside the first one
+        (-10.0, 0.0, None),
+        (50.0, 0.0, None),
+        (30.0, SAME_LANE, None),
+        (30.0, LANE, None),
+    ):
+        trace = [
+            snapshot(0.2, **CHAIN, x=(30.0, LANE)),
+            snapshot(0.4, **CHAIN, x=(30.0, 0.0)),
+            snapshot(1.4, **CHAIN, x=(s, d)),
+        ]
+        found = judged(Ending.CUT_IN, *trace)
+        assert [entry.vehicle for entry in found.intruders] == (["x"] if cause else [])
+        assert found.broken_up_by is (cause or BrokenUpBy.UNKNOWN)
+
+
+def test_an_outsider_that_came_into_the_lane_long_before_is_no_intruder():
+    trace = [snapshot(0.2, **CHAIN, x=(30.0, 0.0)), snapshot(0.4 + SAME_TIME, **CHAIN, x=(30.0, 0.0))]
+    assert judged(Ending.CUT_IN, *trace).intruders == ()
+    assert judged(Ending.CUT_IN, trace[0], snapshot(0.2 + SAME_TIME, **CHAIN, x=(30.0, 0.0))).intruders != ()
+
+
+def test_an_outsider_that_appears_between_the_members_was_passed_by_nobody():
+    now = snapshot(0.2, **CHAIN, new=(30.0, 0.0))
+    assert judged(Ending.CUT_IN, now).broken_up_by is BrokenUpBy.UNKNOWN
+
+
 def test_a_vehicle_that_is_gone():
     assert judged(Ending.LOST, snapshot(0.2, b=(20.0, 0.0), c=(40.0, 0.0))).broken_up_by is BrokenUpBy.POLICY
     assert judged(Ending.LOST, snapshot(0.2, a=(0.0, 0.0), b=(20.0, 0.0))).broken_up_by is BrokenUpBy.OTHERS
@@ -67,6 +141,7 @@ def test_a_cut_in_is_unknown_until_the_counterpart_shows_it_too():
     assert compared(branch, cut_in(at=4.0 + SAME_TIME)).broken_up_by is BrokenUpBy.OTHERS
     assert compared(branch, cut_in(at=5.2 + SAME_TIME)).broken_up_by is BrokenUpBy.UNKNOWN, "too late to be the same"
     assert compared(branch, cut_in(at=4.0, vehicle="y")).broken_up_by is BrokenUpBy.UNKNOWN, "another vehicle"
+    assert compared(branch, cut_in(at=4.2 + SAME_TIME)).broken_up_by is BrokenUpBy.UNKNOWN
     undisturbed = judged(Ending.HORIZON, snapshot(4.0, **CHAIN, x=(30.0, LANE)))
     assert compared(branch, undisturbed).broken_up_by is BrokenUpBy.UNKNOWN
     assert compared(branch, branch).broken_up_by is BrokenUpBy.OTHERS, "a counterpart is its own counterpart"
@@ -112,6 +187,33 @@ def test_a_contact_that_is_not_the_policys_is_a_break_up_by_others():
 @pytest.mark.parametrize("ending", [Ending.HORIZON, Ending.MERGED, Ending.LATE, Ending.LANE_END, Ending.OFF_ROAD])
 def test_other_endings_break_up_nothing(ending):
     assert judged(ending, snapshot(0.2, **CHAIN)).broken_up_by is BrokenUpBy.NOBODY
+
+
+def test_lane_entries_by_hand_beside_the_axis_of_the_road():
+    """The lane is at d = 10. x comes from 1 m beside it, which is outside; y reaches 1 m, which is not inside."""
+    chain = {name: (s, 10.0) for name, (s, _) in CHAIN.items()}
+    trace = [
+        snapshot(0.2, x=(30.0, 10 + SAME_LANE), y=(30.0, 10 - LANE), new=(10.0, 10.0), **chain),
+        snapshot(0.4, x=(30.0, 10.5), y=(30.0, 10 - SAME_LANE), new=(10.0, 10.0), late=(5.0, 10.0), **chain),
+    ]
+    takeover = snapshot(0.0, x=(30.0, 10 + LANE), y=(30.0, 10 - LANE), **chain)
+    for members in (("a", "b", "c"), ("a", "b")):  # of two, vehicle 2 was removed
+        assert lane_entries(takeover, trace, [members], ends=[0.4]) == [(LaneEntry("x", 0.4),)]
+
+
+def test_lane_entries_reach_as_far_as_stated_behind_and_ahead_and_as_long():
+    """Members at 0 to 40 m."""
+    for s, counts in ((-NEAR_GROUP, 1), (-NEAR_GROUP - 0.5, 0), (40 + NEAR_GROUP, 1), (40.5 + NEAR_GROUP, 0)):
+        takeover, now = snapshot(0.0, **CHAIN, x=(s, LANE)), snapshot(0.2, **CHAIN, x=(s, 0.0))
+        assert len(lane_entries(takeover, [now], [("a", "b", "c")], ends=[0.2])[0]) == counts
+    takeover, now = snapshot(0.0, **CHAIN, x=(30.0, LANE)), snapshot(0.2, **CHAIN, x=(30.0, 0.0))
+    for end, counts in ((0.2 - AFTERMATH, 1), (0.1 - AFTERMATH, 0)):
+        assert len(lane_entries(takeover, [now], [("a", "b", "c")], ends=[end])[0]) == counts
+
+
+def test_without_snapshots_there_are_no_lane_entries():
+    assert lane_entries(START, [], [("a", "b", "c")], ends=[1.0]) == [()]
+    assert lane_entries(START, [snapshot(0.2)], [("a", "b", "c")], ends=[1.0]) == [()]
 
 
 def test_lane_entries_are_changes_into_the_lane_near_the_group():

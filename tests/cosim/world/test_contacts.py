@@ -1,9 +1,12 @@
 """Contacts on hand-made traffic: which vehicle drove into which, how fast, and until when they count."""
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 
 from cosim.spec.scenario import AFTERMATH
-from cosim.world.contacts import contacts_of
+from cosim.world.contacts import SAME_PLACE, contacts_of, touching_pairs
 from cosim.world.episode import CUTTER, Contact, Ending, Outcome
 from tests.cosim.world.traffic import LANE, episode, snapshot
 
@@ -19,6 +22,27 @@ def test_the_rear_vehicle_drove_into_the_other_at_the_difference_of_speeds():
     [contact] = found(snapshot(1.0, a=(16.0, 0.0, 12.0), b=(20.0, 0.0, 9.0), c=(60.0, 0.0)))
     assert (contact.vehicles, contact.who, contact.time) == (("a", "b"), "0→1", 1.0)
     assert contact.speed_difference == pytest.approx(3.0)
+
+
+def test_vehicles_in_one_place_of_the_plane_but_far_apart_along_the_road_are_on_different_levels():
+    """5 m long each: 60 m apart along the road may still be a bend, more is a bridge. x is in their place, too."""
+    now = snapshot(1.0, a=(20.0, 0.0), b=(20.0, 0.0), x=(20.0, 0.0))
+    for apart, pairs in ((10.0 + SAME_PLACE, 6), (10.1 + SAME_PLACE, 2)):
+        bridge = replace(now, s=np.array([20.0, 20.0 + apart, 20.0]))
+        hits = touching_pairs(bridge, np.arange(3))
+        assert len(hits) == pairs
+        assert {(0, 2), (2, 0)} <= {tuple(hit) for hit in hits.tolist()}
+        assert len(found(bridge)) == pairs / 2
+
+
+def test_a_vehicle_that_has_just_appeared_may_touch():
+    before, now = snapshot(0.8, a=(16.0, 0.0)), snapshot(1.0, a=(16.0, 0.0), b=(20.0, 0.0))
+    assert [contact.who for contact in found(before, now)] == ["0→1"]
+
+
+def test_a_contact_one_step_after_the_hand_back_is_after_it():
+    [contact] = found(snapshot(3.2, a=(16.0, 0.0), b=(20.0, 0.0)), end=3.0)
+    assert contact.after_hand_back
 
 
 def test_a_contact_from_behind_names_the_outsider_first():
