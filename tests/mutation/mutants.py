@@ -78,8 +78,8 @@ def _is_function(node: ast.AST) -> bool:
 
 
 def _is_text(node: ast.AST) -> bool:
-    """A docstring, or a string on a line of its own."""
-    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str)
+    """A docstring, or another constant on a line of its own, such as `...`."""
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
 
 
 def _at(tree: ast.AST, path: Path) -> ast.AST:

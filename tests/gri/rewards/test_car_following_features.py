@@ -29,6 +29,7 @@ def value(result: Tensor) -> float:
 def test_headway_counts_only_ahead():
     assert value(headway(AHEAD, BEHIND)) == 12.0
     assert value(headway(BEHIND, AHEAD)) == 0.0
+    assert value(headway(BEHIND + torch.tensor([0.5, 0, 0]), BEHIND)) == 0.5
 
 
 def test_idm_headway():

@@ -57,6 +57,19 @@ def test_g_lat_keeps_who_is_not_clear_in_the_lane_beside(headway: float, wanted:
     assert value(lane.g_lat(sender, BEHIND, patient)) == wanted
 
 
+def test_g_lat_is_clear_gradually():
+    """0.4 m beyond the clear headway, w = 1/(1 + 1/e); a receiver to the left has the lane beside on its left."""
+    patient = msgspec.structs.replace(CONSTANTS, clear_headway=10.0)
+    sender = BEHIND + torch.tensor([10.4, 3.5, 0, 0, 0, 0])
+    clear = 1 / (1 + exp(-1))
+    assert value(lane.g_lat(sender, BEHIND, patient)) == clear * 9.0 + (1 - clear) * 1.0
+    assert value(lane.g_lat(sender, in_lane(BEHIND, 3.0), patient)) == clear * 9.0 + (1 - clear) * 1.0
+
+
+def test_the_longitudinal_part_is_position_speed_and_acceleration():
+    assert lane.longitudinal(torch.tensor([1.0, 2, 3, 4, 5, 6])).tolist() == [1.0, 3.0, 5.0]
+
+
 def test_the_centre_has_no_gradient():
     def of_sender(y: Tensor) -> Tensor:
         return lane.g_lat(torch.cat([AHEAD[:1], y[None], AHEAD[2:]]), BEHIND, CONSTANTS)
@@ -70,6 +83,13 @@ def test_g_goal_punishes_being_too_close_and_the_printed_form_being_too_far():
     assert value(lane.g_goal(far, BEHIND, CONSTANTS)) == 0.0
     assert value(lane.g_goal(AHEAD, BEHIND, PRINTED)) == 0.0
     assert value(lane.g_goal(far, BEHIND, PRINTED)) == (22.0 - 15.0) ** 2
+
+
+def test_g_goal_counts_also_below_one_metre():
+    """12 m are there: 0.5 m less than 12.5 m, and 0.5 m more than 11.5 m."""
+    for goal, headway in ((GoalForm.ONE_SIDED, 12.5), (GoalForm.PRINTED, 11.5)):
+        constants = msgspec.structs.replace(CONSTANTS, goal=goal, yield_headway=headway)
+        assert value(lane.g_goal(AHEAD, BEHIND, constants)) == 0.25
 
 
 def test_whoever_is_still_in_front_of_the_vehicle_it_yields_to_is_drawn_back():

@@ -59,6 +59,77 @@ def test_weights_that_no_reward_has_are_refused(weights: dict[str, dict[str, flo
         StructuredReward.with_weights(CONFIG, WEIGHTS | weights)
 
 
+def test_weights_just_above_one_are_possible_and_nothing_is_said_of_other_groups():
+    reward = StructuredReward.with_weights(RewardConfig(), {"follow": {"dist": 1.5, "idm": 1.25}})
+    assert reward.weights("follow").tolist() == pytest.approx([1.25, 1.5])
+    assert reward.weights("node").tolist() == [2.0] * 3
+    assert reward.names("node") == ("speed", "acceleration", "jerk")
+    assert reward.names("follow") == ("idm", "dist")
+
+
+def test_a_copy_in_double_precision_is_the_same_reward_with_fixed_weights(generator: torch.Generator):
+    reward = StructuredReward.with_weights(CONFIG, WEIGHTS)
+    reward.log_alpha.data.fill_(0.5)
+    copy = reward.in_double()
+    assert {p.dtype for p in copy.parameters()} == {torch.float64}
+    assert not any(p.requires_grad for p in copy.parameters())
+    assert all(p.requires_grad for p in reward.parameters())
+    assert copy.log_alpha.item() == 0.5
+    state, action = torch.randn(2, 3, 4, 3, generator=generator), torch.randn(2, 3, 4, 1, generator=generator)
+    found, wanted = copy.of_vehicles(state.double(), action.double()), reward.of_vehicles(state, action)
+    torch.testing.assert_close(found.float(), wanted)
+    torch.testing.assert_close(
+        copy.of_edges(state.double(), state.double() + 1).float(), reward.of_edges(state, state + 1)
+    )
+
+
+def known_potentials() -> ShapedReward:
+    """With potentials that are weighted sums of what the networks read, so that each input has a digit of its own."""
+    shaped = ShapedReward(StructuredReward.with_weights(CONFIG, WEIGHTS), CAR_FOLLOWING_PAPER)
+    shaped.vehicle, shaped.relation = torch.nn.Linear(2, 1), torch.nn.Linear(5, 1)
+    with torch.no_grad():
+        shaped.vehicle.weight.copy_(torch.tensor([[1.0, 10.0]]))
+        shaped.relation.weight.copy_(torch.tensor([[1.0, 10.0, 100.0, 1e3, 1e4]]))
+        for network in (shaped.vehicle, shaped.relation):
+            network.bias.zero_()
+        shaped.bias.fill_(0.25)
+    return shaped
+
+
+def test_potentials_by_hand():
+    """Units 5 m, 2 m/s and 1 m/s², speeds from 5 m/s on: 7 m/s is 1, 9 m/s is 2; 10 m are 2."""
+    state = torch.tensor([[[[30.0, 7.0, 3.0]], [[40.0, 9.0, 4.0]], [[45.0, 5.0, 0.0]]]])
+    vehicle, edges = known_potentials().potentials(state)
+    assert vehicle[0, :, 0].tolist() == pytest.approx([31.0, 42.0, 0.0])
+    assert edges[0, pairs(3).index((1, 0)), 0].tolist() == pytest.approx([0.0, 2 + 20 + 400 + 1000 + 30000])
+    assert edges[0, pairs(3).index((0, 1)), 0].tolist() == pytest.approx([0.0, -2 + 10 + 300 + 2000 + 40000])
+
+
+def test_the_shaped_reward_adds_what_the_potentials_gain_in_each_step(generator: torch.Generator):
+    """f = r + h(x') − h(x) at every step, and the constant once per vehicle and step."""
+    shaped = known_potentials()
+    state, action = torch.randn(2, 3, 4, 3, generator=generator), torch.randn(2, 3, 3, 1, generator=generator)
+    vehicle, edge = shaped.potentials(state)
+    edges = shaped.edges(state)
+    for t in range(3):
+        ends = [[k for k, _ in pairs(3)], [k for _, k in pairs(3)]]
+        plain = shaped.reward.of_edges(state[:, ends[0], t : t + 1], state[:, ends[1], t : t + 1])[:, :, 0]
+        torch.testing.assert_close(edges[:, :, t], plain + edge[:, :, t + 1] - edge[:, :, t])
+        alone = shaped.reward.of_vehicles(state[:, :, t : t + 1], action[:, :, t : t + 1])[..., 0]
+        wanted = alone + vehicle[..., t + 1] - vehicle[..., t] + 0.25
+        wanted[:, 0] += edges[:, pairs(3).index((1, 0)), t, 1]
+        wanted[:, 1] += edges[:, pairs(3).index((2, 1)), t, 1]
+        torch.testing.assert_close(shaped(state, action, chain(2))[..., t], wanted)
+
+
+def test_a_cooperative_vehicle_knows_what_it_costs_others(generator: torch.Generator):
+    state = torch.randn(2, 3, 4, 3, generator=generator).requires_grad_()
+    value = StructuredReward(RewardConfig())(state, torch.zeros(2, 3, 4, 1), chain(2))
+    (gradient,) = torch.autograd.grad(value[:, 0].sum(), state)
+    assert gradient[:, 1].abs().max() > 0
+    assert gradient[:, 2].abs().max() == 0, "2 is not ahead of 0 in the graph"
+
+
 def test_type_none_pays_nothing(generator: torch.Generator):
     state = torch.randn(4, 3, 5, 3, generator=generator)
     action = torch.randn(4, 3, 5, 1, generator=generator)
