@@ -1,6 +1,8 @@
 """Tables, manifests and run folders."""
 
 import json
+import os
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -25,9 +27,10 @@ from cosim.runs.run_tables import (
     write_tables,
 )
 from cosim.runs.summary import shortest_time, summary, summary_records, summary_table
+from cosim.spec.scenario import AFTERMATH
 from cosim.world.episode import COLUMNS, BrokenUpBy, Contact, Ending, Episode, Event, EventKind
 from cosim.world.groups import Group
-from gri.core.graph import FOLLOWING, EdgeType, InteractionGraph
+from gri.core.graph import FOLLOWING, EdgeType, InteractionGraph, pairs
 from gri.errors import InputError
 from gri.table import terminal_text
 
@@ -105,6 +108,149 @@ def test_groups_say_who_how_and_what_was_believed(tables):
     assert list(tables["groups"].columns) == list(tables["counterparts"].columns)
 
 
+def test_rows_of_steps_by_hand():
+    """Two episodes and their counterparts; vehicle 0 of the first one closes up with 5 m/s; the leader is gone at 102 s."""
+    state = episode().state.copy()
+    state[..., 0, COLUMNS.index("v")] = 15.0
+    valid = np.ones((21, 3), dtype=bool)
+    valid[10, 2] = False
+    closing = replace(episode(), state=state, valid=valid)
+    steps = steps_table([closing, episode()], [episode("sumo", edges=None)] * 2)
+    assert steps["episode"].tolist() == [0] * 63 + [1] * 63 + [0] * 63 + [1] * 63
+    assert steps["counterpart"].tolist() == [False] * 126 + [True] * 126
+    assert steps.index.tolist() == list(range(252))
+    now = steps.iloc[30:33]  # the eleventh instant
+    assert now["time"].tolist() == [102.0] * 3
+    assert now["role"].tolist() == [0, 1, 2]
+    assert now["vehicle"].tolist() == ["a", "b", "c"]
+    assert now["present"].tolist() == [True, True, False]
+    assert now["v"].tolist() == [15.0, 10.0, 10.0]
+    assert now["ttc"].tolist()[:1] == pytest.approx([3.0])
+    assert steps["during_drive"].iloc[:63].sum() == 3 * 11, "from 101 to 103 s"
+
+
+def test_groups_are_numbered_and_compared_with_their_counterparts():
+    """The leader of the second one is 2 m farther ahead than in its counterpart."""
+    state = episode().state.copy()
+    state[:, 2, COLUMNS.index("s")] += 2.0
+    left = [episode("sumo", edges=None)] * 2
+    table = groups_table([episode(), replace(episode(), state=state)], CHAIN, left)
+    assert table["episode"].tolist() == [0, 1]
+    assert table["leader_deviation"].tolist() == pytest.approx([0.0, 2.0])
+    assert "leader_deviation" not in groups_table([episode()], CHAIN)
+    assert table["rule"].tolist() == ["car_following"] * 2
+    assert groups_table([replace(episode(), order=(1, 0, 2))], CHAIN)["rule"].tolist() == ["merge"]
+
+
+def test_means_are_those_of_the_vehicles_behind_the_leader_during_the_drive():
+    """Both drive 10 m/s, and 12 m/s for one of the eleven instants; the leader's 30 m/s do not count."""
+    state = episode().state.copy()
+    state[:, 2, COLUMNS.index("v")] = 30.0
+    state[10, :2, COLUMNS.index("v")] = 12.0
+    state[0, :2, COLUMNS.index("v")] = 99.0  # before the take-over
+    state[:, 2, COLUMNS.index("a")] = -7.0
+    [row] = groups_table([replace(episode(), state=state)], CHAIN).to_dict("records")
+    assert row["mean_speed"] == pytest.approx(10 + 2 / 11)
+    assert (row["min_acceleration"], row["min_acceleration_after"]) == (0.0, 0.0)
+
+
+def test_a_jerk_of_3_is_within_3():
+    [row] = groups_table([with_acceleration(101.2, 103.0, 0.59999)], CHAIN).to_dict("records")  # 0.6 in 0.2 s, rounded
+    assert row["jerk_within_3"] == 1.0
+    [row] = groups_table([with_acceleration(101.2, 103.0, -0.7)], CHAIN).to_dict("records")
+    assert row["jerk_within_3"] == pytest.approx(1 - 1 / 20), "3.5 m/s³ once, however it is signed"
+
+
+def long_watched(**changes) -> Episode:
+    """Driven from 101 to 103 s, and watched until 115 s."""
+    time = np.round(np.arange(0, 15.01, 0.2), 10) + 100.0
+    state = np.zeros((len(time), 3, len(COLUMNS)))
+    shape = (len(time), 3)
+    return replace(
+        episode(),
+        time=time,
+        state=state,
+        valid=np.ones(shape, dtype=bool),
+        driven=np.zeros(shape, dtype=bool),
+        **changes,
+    )
+
+
+@pytest.mark.parametrize(("at", "after"), [(103.2, 1), (103.0 + AFTERMATH, 1), (103.2 + AFTERMATH, 0)])
+def test_brakings_after_the_hand_back_count_until_the_end_of_the_aftermath(at: float, after: int):
+    found = long_watched()
+    state = found.state.copy()
+    state[np.abs(found.time - at) < 0.01, 1, COLUMNS.index("a")] = -2.5
+    [row] = groups_table([replace(found, state=state)], CHAIN).to_dict("records")
+    assert (row["brakings_2"], row["brakings_2_after"], row["brakings_3_after"]) == (0, after, 0)
+
+
+def test_brakings_are_those_of_driven_vehicles_while_they_are_there():
+    found = long_watched()
+    state, valid = found.state.copy(), found.valid.copy()
+    state[20:22, :, COLUMNS.index("a")] = -4.0  # after the hand-back
+    [row] = groups_table([replace(found, state=state)], CHAIN).to_dict("records")
+    assert row["brakings_3_after"] == 2, "those of 0 and 1; SUMO drives the leader"
+    [row] = groups_table([replace(found, state=state, judged_roles=(0,))], CHAIN).to_dict("records")
+    assert row["brakings_3_after"] == 1
+    valid[16:, 0] = False
+    [row] = groups_table([replace(found, state=state, valid=valid)], CHAIN).to_dict("records")
+    assert row["brakings_3_after"] == 1, "0 is not there any more"
+    assert row["min_acceleration_after"] == -4.0
+    valid[16:, 1] = False
+    [row] = groups_table([replace(found, state=state, valid=valid)], CHAIN).to_dict("records")
+    assert (row["brakings_3_after"], row["min_acceleration_after"]) == (0, np.inf)
+
+
+def uncertain() -> InteractionGraph:
+    """Two inferences: 1 → 0 follows with 80 % and does not with 60 %; all others do not, with 90 %."""
+    logits = torch.tensor([[[0.9, 0.1]] * 6, [[0.9, 0.1]] * 6]).log()
+    place = pairs(3).index((1, 0))
+    logits[0, place], logits[1, place] = torch.tensor([0.2, 0.8]).log(), torch.tensor([0.6, 0.4]).log()
+    return InteractionGraph(logits, FOLLOWING, unknown=torch.tensor([0.5, 2.0]))
+
+
+def test_graphs_have_a_row_per_inference_and_pair():
+    inferred = replace(episode(), graph=uncertain(), graph_time=np.array([101.0, 102.0]))
+    table = graphs_table([episode(edges=None), inferred, replace(episode(), graph_time=np.array([101.0]))])
+    assert table["episode"].tolist() == [1] * 12 + [2] * 6
+    assert table["time"].tolist() == [101.0] * 6 + [102.0] * 6 + [101.0] * 6
+    assert list(zip(table["sender"], table["receiver"], strict=True)) == [*pairs(3)] * 3
+    rows = table[(table["sender"] == 1) & (table["receiver"] == 0)]
+    assert rows["type"].tolist() == ["follow", "none", "follow"]
+    assert rows["probability"].tolist() == pytest.approx([0.8, 0.6, 1.0])
+    assert rows["unknown"].tolist()[:2] == [0.5, 2.0]
+    assert np.isnan(rows["unknown"].iloc[2])
+
+
+def test_the_first_inference_stands_in_the_table_of_groups():
+    inferred = replace(episode(), graph=uncertain(), graph_time=np.array([101.0, 102.0]))
+    [row] = groups_table([inferred], {(1, 0): EdgeType.FOLLOW}).to_dict("records")
+    assert (row["edge_1_0"], row["edge_2_1"], row["graph_unknown"]) == ("follow", "none", 0.5)
+    assert (row["edge_1_0_p"], row["edge_2_1_p"]) == pytest.approx((0.8, 0.9))
+    assert row["graph_as_expected"]
+    for edges, expected in ((CHAIN | {(0, 1): EdgeType.FOLLOW}, CHAIN), ({(1, 0): EdgeType.FOLLOW}, CHAIN)):
+        [row] = groups_table([episode(edges=edges)], expected).to_dict("records")
+        assert not row["graph_as_expected"], "one edge more, or one less"
+        assert np.isnan(row["graph_unknown"])
+    [row] = groups_table([episode(edges=None)], CHAIN).to_dict("records")
+    assert row["edge_1_0"] is None
+    assert np.isnan([row["edge_1_0_p"], row["graph_unknown"]]).all()
+
+
+def test_events_have_a_row_each():
+    told = replace(
+        episode(), events=(Event(101.0, EventKind.TAKEN, ("a", "b"), "x"), Event(103.0, EventKind.TAKEN, ("c",)))
+    )
+    table = events_table([episode(), told], [episode("sumo")])
+    assert table.drop(columns="kind").to_numpy().tolist() == [
+        [0, "gri", False, 101.0, "a b", ""],
+        [1, "gri", False, 101.0, "a b", "x"],
+        [1, "gri", False, 103.0, "c", ""],
+        [0, "sumo", True, 101.0, "a b", ""],
+    ]
+
+
 def with_acceleration(at: float, until: float, a: float) -> Episode:
     """The episode in which vehicle 0 has this acceleration [m/s²] from `at` to `until` [s], both included."""
     found = episode()
@@ -163,6 +309,15 @@ def test_columns_have_the_same_types_in_every_run(tables, tmp_path, left):
     }
 
 
+def test_columns_without_any_value_have_a_type(tables, tmp_path):
+    """A string, so that tables can be joined; the comparison of the graphs is true or false elsewhere."""
+    nothing = {"graph_as_expected": [None], "edge_1_0": [None], "speed": [1.0], "as_expected": [True]}
+    write_tables(tmp_path, tables | {"groups": pd.DataFrame(nothing)})
+    schema = pq.read_schema(tmp_path / "groups.parquet")
+    assert schema.types == [pa.bool_(), pa.string(), pa.float64(), pa.bool_()]
+    assert pd.read_parquet(tmp_path / "groups.parquet")["edge_1_0"].isna().tolist() == [True]
+
+
 def test_manifest_names_versions_and_hashes(tables, tmp_path):
     write_tables(tmp_path, tables)
     net = tmp_path / "a.net.xml"
@@ -171,6 +326,9 @@ def test_manifest_names_versions_and_hashes(tables, tmp_path):
     content = json.loads((tmp_path / "manifest.json").read_text())
     assert content["arguments"]["seed"] == 3
     assert content["versions"]["torch"] == torch.__version__
+    assert content["versions"]["python"] == sys.version.split()[0]
+    assert content["machine"]["cores"] == os.cpu_count()
+    assert content["inputs"]["net"]["file"] == "a.net.xml"
     # sha256 of the text <net/>, by `printf '<net/>' | sha256sum`
     assert content["inputs"]["net"]["sha256"].startswith("f5f6d4e9") or len(content["inputs"]["net"]["sha256"]) == 64
     assert set(content["results"]) == {f"{name}.parquet" for name in TABLES}
