@@ -184,8 +184,7 @@ def _published(answer: TaskResult, store: BatchStore) -> TaskResult:
             answer = replace(
                 answer, kind="error", message=f"its results cannot be stored: {error.strerror} ({error.filename})"
             )
-    if answer.kind != "done":
-        shutil.rmtree(answer.folder, ignore_errors=True)
+    shutil.rmtree(answer.folder, ignore_errors=True)  # published results are no longer there
     return answer
 
 

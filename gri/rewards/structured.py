@@ -94,7 +94,7 @@ class StructuredReward(nn.Module):
         self, sender: Float[Tensor, "B E T D"], receiver: Float[Tensor, "B E T D"]
     ) -> Float[Tensor, "B E T K"]:
         """r^{e,k} of every ordered pair, step and edge type; 0 for types without terms."""
-        zero = torch.zeros_like(sender[..., 0])
+        zero = sender.new_zeros(sender.shape[:-1])
         return torch.stack(
             [
                 -self.edge_features(k, sender, receiver) @ self.weights(k) if k in self.terms.edge else zero

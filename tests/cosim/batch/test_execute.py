@@ -2,10 +2,13 @@
 
 import json
 from collections import Counter, deque
+from dataclasses import replace
 from pathlib import Path
 
+import msgspec
 import pytest
 
+from cosim.batch import execute as execution
 from cosim.batch.execute import Tally, _shared_warm_ups, execute, in_order_of_warm_ups
 from cosim.batch.run_matrix import expand, load_batch
 from cosim.batch.store import BatchStore
@@ -26,6 +29,8 @@ class Batch:
         self.attempts: Counter[str] = Counter()
         self.said: list[str] = []
         self.folders: list[Path] = []
+        self.tallies: list[tuple[int, int, int]] = []
+        self.states: list[dict[str, int]] = []  # as the manifest has them while an attempt runs
 
     def go(self, ends: dict[str, list[str]], *, retry: bool = False) -> Tally:
         self.attempts.clear()
@@ -35,21 +40,23 @@ class Batch:
                 task = queue.popleft()
                 assert not any(folder.exists() for folder in self.folders), "of an attempt that has ended"
                 self.folders.append(task.folder)
+                self.states.append(self.store.manifest()["states"])
                 kind = ends[task.name][self.attempts[task.name]]
                 self.attempts[task.name] += 1
                 if kind == "done":
                     finished_run(task.folder)
-                else:
+                elif kind != "gone":
                     task.folder.mkdir()
                 if kind == "stopped":
                     raise KeyboardInterrupt
+                kind = "died" if kind == "gone" else kind
                 yield TaskResult(task.name, task.folder, kind, "" if kind == "done" else f"it {kind}")  # type: ignore[arg-type]
 
-        def ignore(tally: Tally) -> None:
-            pass
+        def tell(tally: Tally) -> None:
+            self.tallies.append((tally.done, tally.failed, tally.left))
 
         return execute(
-            self.batch, self.runs, self.store, executor, ignore, file=self.file, retry=retry, warn=self.said.append
+            self.batch, self.runs, self.store, executor, tell, file=self.file, retry=retry, warn=self.said.append
         )
 
 
@@ -68,6 +75,62 @@ def test_a_run_is_tried_again_as_often_as_the_file_says(two):
     assert states == {a: "failed", b: "done"}
     log = [json.loads(line) for line in (two.store.folder / "log.jsonl").read_text().splitlines()]
     assert [entry["attempt"] for entry in log if entry["run"] == a] == [1, 2, 3]
+
+
+def test_the_tally_is_told_at_the_beginning_and_after_every_attempt(two):
+    a, b = (run.id for run in two.runs)
+    two.go({a: ["died", "done"], b: ["input"]})
+    assert two.tallies == [(0, 0, 2), (0, 0, 2), (0, 1, 1), (1, 1, 0)]
+    assert Tally(10, 4, 3).ended == 7
+    two.go({})
+    assert two.tallies[4:] == [(1, 1, 0)]
+
+
+def test_the_manifest_can_be_read_from_the_beginning_and_at_the_end_has_every_state(two):
+    a, b = (run.id for run in two.runs)
+    two.go({a: ["input"], b: ["done"]})
+    assert two.states[0] == {"open": 2}
+    entries = {entry["run"]: entry for entry in two.store.manifest()["runs"]}
+    assert two.store.manifest()["states"] == {"failed": 1, "done": 1}
+    assert "groups.parquet" in entries[b]["results"]
+    assert (entries[b]["starts"], entries[b]["asked"]) == (1, 30)
+    assert {"results", "starts", "asked"}.isdisjoint(entries[a])
+    with pytest.raises(KeyboardInterrupt):
+        two.go({a: ["stopped"]}, retry=True)
+    assert two.store.manifest()["states"] == {"open": 1, "done": 1}
+
+
+def test_an_attempt_that_ends_before_it_made_its_folder_is_one(two):
+    a, b = (run.id for run in two.runs)
+    assert two.go({a: ["gone", "done"], b: ["done"]}).done == 2
+
+
+def test_results_that_cannot_be_stored_are_a_failed_attempt(two, monkeypatch):
+    a, b = (run.id for run in two.runs)
+    publish = two.store.finish
+
+    def full_at_first(run: str, partial: Path) -> None:
+        if two.attempts[a] == 1 and run == a:
+            raise OSError(28, "No space left on device", str(partial))
+        publish(run, partial)
+
+    monkeypatch.setattr(two.store, "finish", full_at_first)
+    assert two.go({a: ["done", "done"], b: ["done"]}).done == 2
+    assert two.attempts == {a: 2, b: 1}
+    log = [json.loads(line) for line in (two.store.folder / "log.jsonl").read_text().splitlines()]
+    assert [entry["ended"] for entry in log if entry["run"] == a] == ["error", "done"]
+
+
+def test_runs_without_a_common_warm_up_keep_their_places(two, monkeypatch):
+    """Of six runs the second, fourth and sixth share traffic; the others have their own."""
+    runs = [
+        replace(two.runs[0], id=str(k), scenario=msgspec.structs.replace(two.runs[0].scenario, seed=k))
+        for k in range(6)
+    ]
+    monkeypatch.setattr(execution, "warm_up_key", lambda scenario: "common" if scenario.seed % 2 else None)
+    assert [run.id for run in in_order_of_warm_ups(runs)] == ["0", "1", "3", "5", "2", "4"]
+    assert set(_shared_warm_ups(runs, Path("scratch"))) == {"1", "3", "5"}
+    assert _shared_warm_ups(runs[:3], Path("scratch")) == {}
 
 
 def test_bad_input_is_tried_once(two):

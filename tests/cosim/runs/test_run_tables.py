@@ -109,7 +109,7 @@ def test_groups_say_who_how_and_what_was_believed(tables):
 
 
 def test_rows_of_steps_by_hand():
-    """Two episodes and their counterparts; vehicle 0 of the first one closes up with 5 m/s; the leader is gone at 102 s."""
+    """Two episodes and their counterparts; in the first one vehicle 0 closes up with 5 m/s, and 2 is gone at 102 s."""
     state = episode().state.copy()
     state[..., 0, COLUMNS.index("v")] = 15.0
     valid = np.ones((21, 3), dtype=bool)

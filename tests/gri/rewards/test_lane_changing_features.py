@@ -64,6 +64,7 @@ def test_g_lat_is_clear_gradually():
     clear = 1 / (1 + exp(-1))
     assert value(lane.g_lat(sender, BEHIND, patient)) == clear * 9.0 + (1 - clear) * 1.0
     assert value(lane.g_lat(sender, in_lane(BEHIND, 3.0), patient)) == clear * 9.0 + (1 - clear) * 1.0
+    assert value(lane.g_lat(in_lane(sender, 4.5), in_lane(BEHIND, 1.0), patient)) == clear * 9.0 + (1 - clear) * 1.0
 
 
 def test_the_longitudinal_part_is_position_speed_and_acceleration():

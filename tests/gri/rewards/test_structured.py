@@ -4,10 +4,10 @@ import pytest
 import torch
 
 from gri.core.graph import FOLLOWING, EdgeType, InteractionGraph, pairs
-from gri.core.scale import CAR_FOLLOWING_PAPER
+from gri.core.scale import CAR_FOLLOWING_PAPER, LANE_CHANGING_PAPER
 from gri.errors import InputError
 from gri.rewards.car_following_features import FollowingConstants
-from gri.rewards.structured import RewardConfig, ShapedReward, StructuredReward, Units
+from gri.rewards.structured import LaneRewardConfig, RewardConfig, ShapedReward, StructuredReward, Units
 
 CONFIG = RewardConfig(
     constants=FollowingConstants(standstill=2.0, time_headway=1.0, comfort=1.0, zeta=4.0, speed_limit=12.0),
@@ -103,6 +103,17 @@ def test_potentials_by_hand():
     assert vehicle[0, :, 0].tolist() == pytest.approx([31.0, 42.0, 0.0])
     assert edges[0, pairs(3).index((1, 0)), 0].tolist() == pytest.approx([0.0, 2 + 20 + 400 + 1000 + 30000])
     assert edges[0, pairs(3).index((0, 1)), 0].tolist() == pytest.approx([0.0, -2 + 10 + 300 + 2000 + 40000])
+
+
+def test_there_is_one_potential_for_the_vehicle_and_one_per_edge_type():
+    """Offsets and units are no parameters: a checkpoint does not hold them."""
+    shaped = ShapedReward(StructuredReward(LaneRewardConfig()), LANE_CHANGING_PAPER)
+    vehicle, edges = shaped.potentials(torch.ones(2, 3, 4, 6))
+    assert (tuple(vehicle.shape), tuple(edges.shape)) == ((2, 3, 4), (2, 6, 4, 4))
+    assert not edges[..., 0].any()
+    assert edges[..., 1:].all()
+    assert shaped.vehicle(torch.zeros(5)).shape == (1,)
+    assert {"offset", "unit"}.isdisjoint(shaped.state_dict())
 
 
 def test_the_shaped_reward_adds_what_the_potentials_gain_in_each_step(generator: torch.Generator):

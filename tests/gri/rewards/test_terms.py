@@ -127,8 +127,8 @@ def test_the_scene_may_move_along_the_road_but_not_across_it(generator: torch.Ge
     assert (reward(state + across, action, graph) - reward(state, action, graph)).abs().max() > 0.1
 
 
-FOLLOWER, LEADER = torch.tensor([0.0, 10.0, 2.0]), torch.tensor([8.0, 11.0, 0.0])
-BEHIND, AHEAD = torch.tensor([0.0, -1.5, 10.0, 0.3, 2.0, 0.2]), torch.tensor([8.0, 0.5, 11.0, 0.0, 0.0, 0.0])
+FOLLOWER, LEADER = torch.tensor([5.0, 10.0, 2.0]), torch.tensor([13.0, 11.0, 0.0])
+BEHIND, AHEAD = torch.tensor([5.0, -1.5, 10.0, 0.3, 2.0, 0.2]), torch.tensor([13.0, 0.5, 11.0, 0.0, 0.0, 0.0])
 
 
 def values(terms: Terms, sender: Tensor, receiver: Tensor, action: Tensor) -> dict[str, float]:
@@ -214,9 +214,9 @@ def test_terms_of_recorded_traffic_by_hand():
 
 
 def test_terms_of_recorded_lane_changes_by_hand():
-    """The receiver [0, −1.5, 10, 0.3] and the sender [8, 0.5, 11, 0] (x, y, vx, vy); their paths cross.
+    """The receiver [5, −1.5, 10, 0.3] and the sender [13, 0.5, 11, 0] (x, y, vx, vy); their paths cross.
 
-    2 m to the side at 0.3 m/s take 6.667 s, in which the receiver drives 66.67 m and the sender 73.33 m, to 81.33 m:
+    2 m to the side at 0.3 m/s take 6.667 s, in which the receiver drives 66.67 m and the sender 73.33 m, to 86.33 m:
     the point is 66.67 m ahead of the receiver, 58.67 m ahead of the sender, which is there after 5.333 s.
     """
     config = NaturalisticConfig(lanes=True, units=Units(), lateral_speed=1.0, references=References(overlap=1.0))

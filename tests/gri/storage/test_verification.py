@@ -1,5 +1,7 @@
 """Damage is noticed before anything is used."""
 
+import hashlib
+import json
 import os
 
 import pytest
@@ -14,6 +16,7 @@ from gri.storage.verification import (
     is_intact,
     read_sealed,
     read_value,
+    sealed,
     set_aside,
     write_digest,
     write_sealed,
@@ -52,6 +55,43 @@ def test_files_of_older_versions_have_no_hash_and_are_read(tmp_path):
     assert is_intact(tmp_path / "list.json", pytest.fail)
 
 
+def test_a_value_has_a_field_of_its_own_and_older_files_are_values_themselves(tmp_path):
+    path = tmp_path / "a.json"
+    path.write_text('{"a": 1}')
+    assert read_value(path, "") == {"a": 1}
+    path.write_text('{"value": 3}')
+    assert read_value(path, "") == 3
+    write_sealed(path, {"value": 3, "other": 4})
+    with pytest.raises(DamagedError, match=r"not in the field value\); do it again"):
+        read_value(path, "do it again")
+
+
+def test_a_sealed_file_is_readable_and_can_be_sealed_again(tmp_path):
+    path = tmp_path / "a.json"
+    write_sealed(path, {"b": [1, 2], "a": {"c": None}})
+    content = json.loads(path.read_text())
+    assert list(content) == ["b", "a", "own_sha256"]
+    assert path.read_text() == json.dumps(content, indent=2) + "\n"
+    assert sealed(content) == content
+    assert sealed({"a": 1, "b": 2})["own_sha256"] == sealed({"b": 2, "a": 1})["own_sha256"]
+
+
+def test_what_is_not_there_is_not_intact_and_not_said(tmp_path):
+    assert not is_intact(tmp_path / "a.json", pytest.fail)
+
+
+def test_a_hash_without_its_file_is_left_to_the_reader_of_the_file(tmp_path):
+    (tmp_path / "table").write_bytes(b"rows")
+    write_digest(tmp_path / "table")
+    assert (tmp_path / "table.sha256").read_text() == f"{hashlib.sha256(b'rows').hexdigest()}  table\n"
+    (tmp_path / "table").unlink()
+    assert check_own_digest(tmp_path / "table", "") == tmp_path / "table"
+    (tmp_path / "table").write_bytes(b"rows")
+    (tmp_path / "table.sha256").write_text("")
+    with pytest.raises(InputError, match="make it again"):
+        check_own_digest(tmp_path / "table", "make it again")
+
+
 def test_a_damaged_file_is_renamed_and_said_once(tmp_path):
     said = []
     write_sealed(tmp_path / "a.json", {"x": 1})
@@ -64,9 +104,9 @@ def test_a_damaged_file_is_renamed_and_said_once(tmp_path):
 
 
 def test_set_aside_takes_a_free_name(tmp_path):
-    for k in range(2):
+    for name in ("run.damaged", "run.damaged-2", "run.damaged-3"):
         (tmp_path / "run").mkdir()
-        assert set_aside(tmp_path / "run").name == ("run.damaged", "run.damaged-2")[k]
+        assert set_aside(tmp_path / "run").name == name
 
 
 def test_a_hash_is_computed_again_only_when_the_file_has_changed(tmp_path, monkeypatch):

@@ -1,6 +1,7 @@
 """Files and folders that appear whole or not at all."""
 
 import os
+import stat
 
 import pytest
 
@@ -36,6 +37,54 @@ def test_a_folder_never_replaces_one_with_content(tmp_path):
     with pytest.raises(OSError, match="not empty"):
         publish(tmp_path / "one", tmp_path / "two")
     assert (tmp_path / "two/table").read_text() == "two"
+
+
+def test_folders_of_a_file_are_made_and_nothing_is_left_of_a_file_that_was_never_begun(tmp_path):
+    write_whole(tmp_path / "a/b/c.txt", b"x")
+    with pytest.raises(ZeroDivisionError), whole_file(tmp_path / "a/b/d.txt"):
+        raise ZeroDivisionError
+    assert os.listdir(tmp_path / "a/b") == ["c.txt"]
+
+
+def test_what_a_link_points_to_is_neither_removed_nor_flushed(tmp_path):
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results/table").write_text("rows")
+    (tmp_path / ".run.1-abc.part").symlink_to(tmp_path / "results")
+    sweep(tmp_path)
+    assert sorted(os.listdir(tmp_path)) == ["results"]
+    assert (tmp_path / "results/table").read_text() == "rows"
+    part = part_beside(tmp_path / "run")
+    part.mkdir()
+    (part / "link").symlink_to(tmp_path / "nowhere")
+    publish(part, tmp_path / "run")
+    assert (tmp_path / "run/link").is_symlink()
+
+
+@pytest.mark.parametrize("what", ["open", "fsync"])
+def test_a_file_that_cannot_be_flushed_does_not_appear_but_folders_need_not_be(tmp_path, monkeypatch, what):
+    """Windows opens no folders, and some file systems flush none."""
+    plain = getattr(os, what)
+
+    def failing(kind: int):
+        def fail(target, *options):
+            mode = os.fstat(target).st_mode if what == "fsync" else os.stat(target).st_mode
+            if stat.S_IFMT(mode) == kind:
+                raise OSError(5, "Input/output error")
+            return plain(target, *options)
+
+        return fail
+
+    with monkeypatch.context() as broken:
+        part = part_beside(tmp_path / "run")
+        part.mkdir()
+        (part / "table").write_text("rows")
+        broken.setattr(os, what, failing(stat.S_IFREG))
+        with pytest.raises(OSError, match="Input/output"):
+            publish(part, tmp_path / "run")
+        assert not (tmp_path / "run").exists()
+        broken.setattr(os, what, failing(stat.S_IFDIR))
+        publish(part, tmp_path / "run")
+    assert (tmp_path / "run/table").read_text() == "rows"
 
 
 def test_only_unfinished_files_are_swept(tmp_path):
