@@ -123,14 +123,12 @@ def test_results_that_cannot_be_stored_are_a_failed_attempt(two, monkeypatch):
 
 def test_runs_without_a_common_warm_up_keep_their_places(two, monkeypatch):
     """Of six runs the second, fourth and sixth share traffic; the others have their own."""
-    runs = [
-        replace(two.runs[0], id=str(k), scenario=msgspec.structs.replace(two.runs[0].scenario, seed=k))
-        for k in range(6)
-    ]
+    scenarios = [msgspec.structs.replace(two.runs[0].scenario, seed=k) for k in range(6)]
+    runs = [replace(two.runs[0], key=str(k), scenario=scenario) for k, scenario in enumerate(scenarios)]
     monkeypatch.setattr(execution, "warm_up_key", lambda scenario: "common" if scenario.seed % 2 else None)
-    assert [run.id for run in in_order_of_warm_ups(runs)] == ["0", "1", "3", "5", "2", "4"]
-    assert set(_shared_warm_ups(runs, Path("scratch"))) == {"1", "3", "5"}
-    assert _shared_warm_ups(runs[:3], Path("scratch")) == {}
+    assert [run.id for run in in_order_of_warm_ups(runs)] == ["r0", "r1", "r3", "r5", "r2", "r4"]
+    assert set(_shared_warm_ups(runs, Path("scratch"))) == {"r1", "r3", "r5"}
+    assert _shared_warm_ups(runs[:3], Path("scratch")) == {}, "there is only one of them"
 
 
 def test_bad_input_is_tried_once(two):
