@@ -27,8 +27,11 @@ from pathlib import Path
 import pandas as pd
 import torch
 
+from cosim.batch.result_listing import groups_of
+from cosim.batch.store import BatchStore
 from cosim.runs.run import open_run
 from cosim.spec.loading import load_scenario
+from cosim.stress.stress_test import publish_again
 from gri import checkpoint
 from gri.data.scene_file.schema import opened
 from gri.errors import InputError
@@ -87,6 +90,20 @@ def rows_of_scenes(folder: Path) -> str:
     return opened(folder / "out/scenes.parquet").read().to_pandas().to_json(double_precision=15)
 
 
+def tables_of_stress_test(folder: Path) -> list[str]:
+    """All tables of a finished stress test, after its report was written again, which compares their hashes."""
+    publish_again(folder / "out", draw=False)
+    paths = sorted((folder / "out").glob("*.parquet"))
+    return [pd.read_parquet(path).to_json(double_precision=15) for path in paths]
+
+
+def tables_of_batch(folder: Path) -> list[str]:
+    """The groups of a finished batch as `cosim results` reads them, and all tables of its runs."""
+    runs = [open_run(path) for path in sorted((folder / "out/runs").iterdir())]
+    tables = [groups_of(BatchStore(folder / "out")), *(table for run in runs for table in run.tables.values())]
+    return [table.to_json(double_precision=15) for table in tables]
+
+
 CASES = (
     Case("run", "run tiny.yaml --baseline idm --out out", ("out/*.parquet", "out/scenario.json"), read=tables_of_run),
     Case(
@@ -110,12 +127,14 @@ CASES = (
         "stress tiny.yaml --policy idm,sumo --perturbation leader_braking --levels 2 --starts 2 --out out",
         ("out/*.parquet",),
         "out/chunks/*.parquet",
+        read=tables_of_stress_test,
     ),
     Case(
         "batch",
         "batch batch.yaml --workers 1 --retry-failed --out out",
         ("out/groups/*/*.parquet", "out/runs/*/*.parquet"),
         "out/runs/*/*.parquet",
+        read=tables_of_batch,
     ),
 )
 

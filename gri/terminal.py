@@ -4,6 +4,8 @@
 `ProgressDisplay` shows how far long work is.
 """
 
+import codecs
+import io
 import math
 import sys
 import time
@@ -23,9 +25,28 @@ from gri.table import WRITERS, Table, TableFormat, terminal_text
 console = Console(highlight=False)
 errors = Console(stderr=True, highlight=False)
 TENTHS = 10  # plain lines per stage, besides its first one
+PLAIN = {"−": "-", "–": "-", "─": "-", "·": "*", "×": "x", "±": "+-", "≤": "<=", "≥": ">=", "≠": "!=", "→": "->"}
+PLAIN |= {"²": "2", "³": "3", "⁻": "-", "½": "1/2", "…": "...", "Δ": "d", "τ": "tau", "σ": "sigma", "μ": "mu"}
+"""What stands for a character where the terminal has none of it. A minus sign above all must not get lost."""
 
 ShowProgress = Callable[..., None]
 """(stage, units done, units in all, remark or value of the objective); can serve as a `gri.progress.Progress`."""
+
+
+def use_any_encoding() -> None:
+    """Let the process print where the character set of its output lacks some of the text, as with LC_ALL=C it may."""
+    codecs.register_error("plain", _plain)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="plain")
+
+
+def _plain(error: UnicodeError) -> tuple[str, int]:
+    """What to write instead of the characters that cannot be encoded, and where to go on."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    missing = error.object[error.start : error.end]
+    return "".join(PLAIN.get(character, "?") for character in missing), error.end
 
 
 def say(text: str) -> None:

@@ -42,6 +42,7 @@ from gri.terminal import (
     say,
     show_tables,
     show_version,
+    use_any_encoding,
 )
 
 # Each command imports what it needs: torch and SUMO take seconds to import, and `--help` should not.
@@ -237,6 +238,7 @@ def main() -> None:
     A run or batch that is complete but found fewer episodes than asked for ends with 3.
     """
     stop_like_ctrl_c()
+    use_any_encoding()
     try:
         app(standalone_mode=True)
     except InputError as error:

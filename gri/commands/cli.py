@@ -12,7 +12,7 @@ from gri.commands.reproduce import reproduce
 from gri.commands.scenes import app as scenes_app
 from gri.errors import SYSTEM_ERRORS, InputError, refused_by_system
 from gri.processes import stop_like_ctrl_c
-from gri.terminal import fail, show_version
+from gri.terminal import fail, show_version, use_any_encoding
 
 # Without a markup mode the help is plain text: units in square brackets, such as [m], would vanish as Rich markup.
 app = typer.Typer(no_args_is_help=True, add_completion=False, pretty_exceptions_enable=False, rich_markup_mode=None)
@@ -44,6 +44,7 @@ def gri(
 def main() -> None:
     """Entry point. Errors are one line on stderr; the exit code is 2 for bad input, 1 for what the system refuses."""
     stop_like_ctrl_c()
+    use_any_encoding()
     try:
         app()
     except InputError as error:

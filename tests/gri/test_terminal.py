@@ -1,11 +1,13 @@
 """Progress where there is no terminal, and text that contains square brackets."""
 
+import io
 import re
+import sys
 
 import pytest
 
 from gri.table import Table
-from gri.terminal import ProgressDisplay, _clock, errors, next_command, say, show_tables
+from gri.terminal import ProgressDisplay, _clock, errors, next_command, say, show_tables, use_any_encoding
 
 pytestmark = pytest.mark.skipif(errors.is_terminal, reason="lines are written where there is no terminal")
 
@@ -68,3 +70,13 @@ def test_formats_for_programs_leave_standard_output_to_the_table(capsys: pytest.
     show_tables([table], "table", "3 s", then="cosim list")
     done = capsys.readouterr()
     assert done.out.splitlines() == ["name  size [m]", "────  ────────", "a         0.33", "3 s", "Next: cosim list"]
+
+
+@pytest.mark.parametrize(("encoding", "written"), [("ascii", b"-3.5 m/s2 >= ?"), ("latin-1", b"-3.5 m/s\xb2 >= ?")])
+def test_a_terminal_without_unicode_shows_what_it_has(encoding: str, written: bytes, monkeypatch: pytest.MonkeyPatch):
+    stream = io.TextIOWrapper(io.BytesIO(), encoding=encoding)
+    monkeypatch.setattr(sys, "stdout", stream)
+    use_any_encoding()
+    say("−3.5 m/s² ≥ ☃")
+    stream.flush()
+    assert stream.buffer.getvalue().splitlines() == [written]
