@@ -1,4 +1,4 @@
-"""Robustness of `cosim run`, `batch`, `scenes`, `stress` and `gri train` under faults from outside.
+"""Robustness of `cosim run`, `scenes`, `stress`, `batch` (also with shards) and `gri train` under faults from outside.
 
     python benchmarks/chaos.py --out /tmp/chaos [--only run,batch] [--kills 50] [--restarts 5] [--seed 1]
 
@@ -99,7 +99,7 @@ def tables_of_stress_test(folder: Path) -> list[str]:
 
 def tables_of_batch(folder: Path) -> list[str]:
     """The groups of a finished batch as `cosim results` reads them, and all tables of its runs."""
-    runs = [open_run(path) for path in sorted((folder / "out/runs").iterdir())]
+    runs = [open_run(path) for path in sorted(folder.glob("out/runs/*"))]
     tables = [groups_of(BatchStore(folder / "out")), *(table for run in runs for table in run.tables.values())]
     return [table.to_json(double_precision=15) for table in tables]
 
@@ -134,6 +134,13 @@ CASES = (
         "batch batch.yaml --workers 1 --retry-failed --out out",
         ("out/groups/*/*.parquet", "out/runs/*/*.parquet"),
         "out/runs/*/*.parquet",
+        read=tables_of_batch,
+    ),
+    Case(
+        "shards",
+        "batch shards.yaml --workers 1 --retry-failed --out out",
+        ("out/*s/s*.parquet",),
+        "out/*s/s*.*",
         read=tables_of_batch,
     ),
 )
@@ -182,7 +189,7 @@ class Attempts:
         process, most = self.start(), self.kills + ROUND
         while self.kills < most:
             try:
-                process.wait(self.rng.uniform(0.1, longest))
+                process.wait(self.rng.uniform(0.1, longest) * self.rng.random())  # more often early than late
                 if process.returncode == 0 or DONE in process.communicate()[1]:
                     return
                 process = self.start()
@@ -247,6 +254,7 @@ def write_inputs(folder: Path) -> None:
     scenario["traffic"].update(changes.pop("traffic"))
     (folder / "tiny.yaml").write_text(yaml.safe_dump(scenario | changes, sort_keys=False))
     (folder / "batch.yaml").write_text(TINY)
+    (folder / "shards.yaml").write_text(TINY + "shards: {runs: 2}\n")
     train = yaml.safe_load(shipped("scenarios", "train", f"{TRAIN}.yaml").read_text())
     train["data"] = train.get("data", {}) | {"train": 100, "validation": 10, "test": 10, "expert_updates": 10}
     train["objective"] = train.get("objective", {}) | {"updates": 30}
