@@ -12,7 +12,14 @@ import numpy as np
 import torch
 
 from cosim.loop.compiled_steps import compiled_steps, load_core
-from cosim.loop.graph_source import graph_from_source, keep_where_unknown, on_same_pairs, smoothed, with_edges
+from cosim.loop.graph_source import (
+    graph_from_source,
+    keep_where_unknown,
+    on_same_pairs,
+    reacting_in_doubt,
+    smoothed,
+    with_edges,
+)
 from cosim.loop.guard import guard_of
 from cosim.loop.intervention import Intervention, NoIntervention
 from cosim.loop.observation import GroupObservation
@@ -115,6 +122,7 @@ def _graph_to_use(
     if last is not None:
         known = smoothed(graph, last, source, elapsed, window, this_round.driven_roles)
         known = keep_where_unknown(known, last, source)
+    known = reacting_in_doubt(known, source, this_round.driven_roles)
     known = graph_from_source(known, source, this_round.rule, this_round.has_third_vehicle)
     return with_edges(known, dict.fromkeys(without, EdgeType.NONE), this_round.size)
 
@@ -259,4 +267,9 @@ def _graph_over_time(graphs: Sequence[InteractionGraph], g: int) -> InteractionG
     graphs = on_same_pairs(graphs)
     scores = [graph.unknown[g] for graph in graphs if graph.unknown is not None]
     unknown = torch.stack(scores) if len(scores) == len(graphs) else None
-    return replace(graphs[0], logits=torch.stack([graph.logits[g] for graph in graphs]), unknown=unknown)
+    logits = torch.stack([graph.logits[g] for graph in graphs])
+    doubted = None
+    if any(graph.in_doubt is not None for graph in graphs):
+        nowhere = torch.zeros(logits.shape[1], dtype=torch.bool)
+        doubted = torch.stack([nowhere if graph.in_doubt is None else graph.in_doubt[g] for graph in graphs])
+    return replace(graphs[0], logits=logits, unknown=unknown, in_doubt=doubted)

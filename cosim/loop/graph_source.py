@@ -10,6 +10,9 @@ from cosim.spec.scenario import Enforced, GraphSource, GroundTruth, GroupRule, I
 from cosim.world.groups import expected_graph
 from gri.core.graph import EdgeType, InteractionGraph, pairs
 
+LEAST_DOUBT = 0.05
+"""Probability of a reaction from which on it counts, where the alternative is to react to nobody."""
+
 
 def graph_from_source(
     graph: InteractionGraph, source: GraphSource, rule: GroupRule, has_third_vehicle: bool = True
@@ -35,7 +38,18 @@ def with_edges(graph: InteractionGraph, prescribed: Mapping[tuple[int, int], Edg
     certain = InteractionGraph.of_edges(
         prescribed, graph.vocabulary, size, batch=len(graph), candidates=graph.candidates
     )
-    return replace(graph, logits=torch.where(which[:, None], certain.logits, graph.logits))
+    doubted = None if graph.in_doubt is None else graph.in_doubt & ~which
+    return replace(graph, logits=torch.where(which[:, None], certain.logits, graph.logits), in_doubt=doubted)
+
+
+def reacting_in_doubt(graph: InteractionGraph, source: GraphSource, driven: Sequence[int]) -> InteractionGraph:
+    """The graph in which a driven vehicle reacts to nobody only if that is all but certain, if the source says so.
+
+    To react without need costs little; to drive into a vehicle that was taken for none costs much.
+    """
+    if not isinstance(source, Inferred) or source.in_doubt == "ignore":
+        return graph
+    return graph.reacting_in_doubt(driven, LEAST_DOUBT)
 
 
 def keep_where_unknown(graph: InteractionGraph, last: InteractionGraph, source: GraphSource) -> InteractionGraph:

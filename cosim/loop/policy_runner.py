@@ -277,9 +277,14 @@ def _graph_of_views(graph: InteractionGraph, view_of: Sequence[int]) -> Interact
     if views == 1:
         return graph
     logits = graph.logits.unflatten(0, (views, -1))
-    of_receivers = torch.stack([logits[view_of[receiver], :, k] for k, (_, receiver) in enumerate(graph.pairs)], 1)
+    own_view = [(view_of[receiver], k) for k, (_, receiver) in enumerate(graph.pairs)]
+    of_receivers = torch.stack([logits[view, :, k] for view, k in own_view], 1)
+    doubted = None
+    if graph.in_doubt is not None:
+        of_views = graph.in_doubt.unflatten(0, (views, -1))
+        doubted = torch.stack([of_views[view, :, k] for view, k in own_view], 1)
     unknown = None if graph.unknown is None else graph.unknown.unflatten(0, (views, -1)).amax(0)
-    return replace(graph, logits=of_receivers, unknown=unknown)
+    return replace(graph, logits=of_receivers, unknown=unknown, in_doubt=doubted)
 
 
 def _relative(state: Float[np.ndarray, "G N *T D"]) -> Float[Tensor, "G N *T D"]:

@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+import msgspec
+
 from cosim.loop.driving import Driver
 from cosim.loop.own_policy import OwnPolicy
 from cosim.runs.user_policy import own_name, own_policy
@@ -39,12 +41,19 @@ def driver_of(scenario: spec.Scenario, own: Policy | None = None) -> Driver | No
     return Driver(
         name,
         policy,
-        scenario.graph,
+        _with_meaning(scenario.graph, name),
         scenario.steps(scenario.reinfer_s),
         reference=reference,
         safety=scenario.safety,
         predicts=scenario.predictor != "none",
     )
+
+
+def _with_meaning(source: spec.GraphSource, name: str) -> spec.GraphSource:
+    """The source of the graph; NRI's types have no meaning of their own, so that nothing is decided by them."""
+    if name == "nri" and isinstance(source, spec.Inferred):
+        return msgspec.structs.replace(source, in_doubt="ignore")
+    return source
 
 
 def reference_of(choice: spec.Driver) -> DriverName | None:

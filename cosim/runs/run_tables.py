@@ -10,6 +10,7 @@ episode. Counterparts have a table of their own; in `steps` and `events` the col
 import os
 import platform
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
+import torch
 from jaxtyping import Bool
 
 from cosim.measures.surrogate_safety import BRAKING, brakings
@@ -136,36 +138,39 @@ def _inferred_graph_columns(episode: Episode, expected: Mapping[tuple[int, int],
     reported = reported_pairs(len(episode.order))
     if episode.graph is None:
         edges = {f"edge_{i}_{j}{of}": missing for i, j in reported for of, missing in (("", None), ("_p", np.nan))}
-        return {**edges, "graph_as_expected": None, "graph_unknown": np.nan}
-    graph = episode.graph.on(reported)
+        return {**edges, "graph_as_expected": None, "graph_unknown": np.nan, "reacts_in_doubt": False}
+    inferred = replace(episode.graph, in_doubt=None)
+    graph = inferred.on(reported)
     types = [graph.vocabulary[k] for k in graph.map[0].tolist()]
     probabilities = graph.probs[0].max(-1).values.tolist()
     belief: dict[str, Any] = {}
     for (i, j), kind, p in zip(reported, types, probabilities, strict=True):
         belief[f"edge_{i}_{j}"] = kind.value
         belief[f"edge_{i}_{j}_p"] = p
-    whole = dict.fromkeys(expected, EdgeType.NONE) | {pair: kind for pair, (kind, _) in episode.graph.edges().items()}
+    whole = dict.fromkeys(expected, EdgeType.NONE) | {pair: kind for pair, (kind, _) in inferred.edges().items()}
     belief["graph_as_expected"] = all(kind is expected.get(pair, EdgeType.NONE) for pair, kind in whole.items())
     belief["graph_unknown"] = np.nan if graph.unknown is None else float(graph.unknown[0])
+    belief["reacts_in_doubt"] = episode.graph.in_doubt is not None and bool(episode.graph.in_doubt.any())
     return belief
 
 
 def graphs_table(episodes: Sequence[Episode]) -> pd.DataFrame:
     """One row per episode, inference and pair: the type used, its probability, and how unknown the scene is."""
     rows = [
-        (np.int32(number), episode.driver, time, i, j, graph.vocabulary[k].value, p, unknown)
+        (np.int32(number), episode.driver, time, i, j, graph.vocabulary[k].value, p, in_doubt, unknown)
         for number, episode in enumerate(episodes)
         if (graph := episode.graph) is not None
-        for time, types, probabilities, unknown in zip(
+        for time, types, probabilities, doubted, unknown in zip(
             episode.graph_time,
             graph.map.tolist(),
-            graph.probs.max(-1).values.tolist(),
+            graph.probs.gather(-1, graph.map[..., None])[..., 0].tolist(),
+            (torch.zeros_like(graph.map, dtype=torch.bool) if graph.in_doubt is None else graph.in_doubt).tolist(),
             [np.nan] * len(graph) if graph.unknown is None else graph.unknown.tolist(),
             strict=True,
         )
-        for (i, j), k, p in zip(graph.pairs, types, probabilities, strict=True)
+        for (i, j), k, p, in_doubt in zip(graph.pairs, types, probabilities, doubted, strict=True)
     ]
-    columns = ["episode", "driver", "time", "sender", "receiver", "type", "probability", "unknown"]
+    columns = ["episode", "driver", "time", "sender", "receiver", "type", "probability", "in_doubt", "unknown"]
     return pd.DataFrame(rows, columns=columns)
 
 

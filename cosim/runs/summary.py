@@ -171,6 +171,13 @@ def _known(groups: pd.DataFrame) -> str:
     return _of(int((groups["graph_unknown"] <= 1).sum()), len(groups))
 
 
+def _in_doubt(groups: pd.DataFrame) -> str:
+    """Groups in which a vehicle reacts although nobody is the most probable one."""
+    if "reacts_in_doubt" not in groups or groups["graph_as_expected"].isna().all():
+        return "-"
+    return _of(int(groups["reacts_in_doubt"].sum()), len(groups))
+
+
 def _hardest_braking(groups: pd.DataFrame) -> str:
     return f"{groups['min_acceleration'].min():.1f} / {groups['min_acceleration_after'].min():.1f}"
 
@@ -195,6 +202,7 @@ _ROWS: tuple[Row, ...] = (
     ("inferred edges", _edges),
     ("  whole graph as expected", _as_expected),
     ("  scene known to the model", _known),
+    ("  a vehicle reacts in doubt", _in_doubt),
     ("minimum gap [m]: worst / median", lambda g: f"{g['min_gap'].min():.1f} / {g['min_gap'].median():.1f}"),
     (
         "minimum TTC [s]: worst / median",

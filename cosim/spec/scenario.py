@@ -145,12 +145,17 @@ class Inferred(Spec, frozen=True, kw_only=True, tag_field="source", tag="inferre
     false` takes every inference for itself. A vehicle that the policy drives keeps its relations, as its motion is what
     the policy wants; `own_motion: true` takes it for evidence all the same. `when_unknown` applies to later inferences
     from scenes that the model does not know: `use` the graph all the same, or `keep` the last one.
+
+    A driven vehicle that would react to nobody follows (or yields to) whom it does most probably, if that has a
+    probability of 5 % or more, or if the model does not know the scene; `in_doubt: ignore` takes the most probable
+    relations as they are.
     """
 
     smoothing: bool = True
     switching_rate: Annotated[float, Meta(ge=0, le=100)] = 0.02
     own_motion: bool = False
     when_unknown: Literal["use", "keep"] = "use"
+    in_doubt: Literal["react", "ignore"] = "react"
 
 
 class GroundTruth(Spec, frozen=True, kw_only=True, tag_field="source", tag="ground_truth"):

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from gri.core.edges import FOLLOWING, LANE_CHANGING, MOST_COMPLETE, YIELDING, EdgeType, Vocabulary, pairs, vehicle_count
@@ -27,6 +27,9 @@ __all__ = [
     "vehicle_count",
 ]
 
+HOLDS_BACK = EdgeType.FOLLOW, EdgeType.YIELD
+"""Types by which the sender may make the receiver slow down."""
+
 
 @dataclass(frozen=True)
 class InteractionGraph:
@@ -42,6 +45,8 @@ class InteractionGraph:
     """The candidate pairs (sender, receiver) of each group, in lexicographic order; all other pairs have type none.
     None: the graph is complete.
     """
+    in_doubt: Bool[Tensor, "B E"] | None = None
+    """Pairs in which the receiver is to react although none is more probable (`reacting_in_doubt`). None: no pair."""
 
     def __post_init__(self) -> None:
         assert self.logits.shape[-1] == len(self.vocabulary), f"{self.logits.shape} does not fit {self.vocabulary}"
@@ -90,7 +95,10 @@ class InteractionGraph:
         none[..., 0] = 0.0
         every = torch.cat([self.logits, none], 1)
         rows = [place.get(pair, len(place)) for pair in candidates]
-        return replace(self, logits=every[:, rows], candidates=candidates)
+        doubted = None
+        if self.in_doubt is not None:
+            doubted = torch.cat([self.in_doubt, self.in_doubt.new_zeros(len(self), 1)], 1)[:, rows]
+        return replace(self, logits=every[:, rows], candidates=candidates, in_doubt=doubted)
 
     @property
     def probs(self) -> Float[Tensor, "B E K"]:
@@ -99,13 +107,41 @@ class InteractionGraph:
 
     @property
     def map(self) -> Int[Tensor, "B E"]:
-        """Index of the most probable type of each edge."""
-        return self.logits.argmax(-1)
+        """Index of the most probable type of each edge; of a pair in doubt, that of the most probable reaction."""
+        most_probable = self.logits.argmax(-1)
+        return most_probable if self.in_doubt is None else torch.where(self.in_doubt, self._reaction[0], most_probable)
 
     @property
     def one_hot(self) -> Float[Tensor, "B E K"]:
         """The most probable graph as one-hot vectors."""
         return torch.nn.functional.one_hot(self.map, self.logits.shape[-1]).to(self.logits.dtype)
+
+    @property
+    def _reaction(self) -> tuple[Int[Tensor, "B E"], Float[Tensor, "B E"]]:
+        """The most probable type by which the receiver lets itself be held back, and its probability."""
+        kinds = torch.tensor([k for k, kind in enumerate(self.vocabulary) if kind in HOLDS_BACK])
+        best = self.probs[..., kinds].max(-1)
+        return kinds[best.indices], best.values
+
+    def reacting_in_doubt(self, receivers: Sequence[int], least: float) -> "InteractionGraph":
+        """The graph in which none of these receivers reacts to nobody without being sure of it.
+
+        Whoever would react to nobody (no edge that holds it back, such as follow) gets its most probable reaction, if
+        that has the probability `least`, or if the model does not know the scene.
+        """
+        probability = self._reaction[1]
+        holds_back = torch.tensor([kind in HOLDS_BACK for kind in self.vocabulary])
+        unknown = torch.zeros(len(self), dtype=torch.bool) if self.unknown is None else self.unknown > 1
+        doubted = torch.zeros(self.logits.shape[:2], dtype=torch.bool)
+        for receiver in receivers:
+            into = torch.tensor([k for k, pair in enumerate(self.pairs) if pair[1] == receiver], dtype=torch.long)
+            if not len(into):
+                continue
+            best = probability[:, into].max(-1)
+            free = ~holds_back[self.map[:, into]].any(-1)
+            reacts = free & ((best.values >= least) | unknown)
+            doubted[torch.arange(len(self)), into[best.indices]] |= reacts
+        return replace(self, in_doubt=doubted if doubted.any() else None)
 
     def sample(self, generator: torch.Generator, temperature: float = 0.5) -> Float[Tensor, "B E K"]:
         """Straight-through Gumbel-softmax: one-hot samples with the gradient of the relaxed samples."""
@@ -122,10 +158,11 @@ class InteractionGraph:
     def __getitem__(self, scenes: Tensor | slice) -> "InteractionGraph":
         """The graphs of the selected groups."""
         unknown = None if self.unknown is None else self.unknown[scenes]
-        return replace(self, logits=self.logits[scenes], unknown=unknown)
+        doubted = None if self.in_doubt is None else self.in_doubt[scenes]
+        return replace(self, logits=self.logits[scenes], unknown=unknown, in_doubt=doubted)
 
     def edges(self, scene: int = 0) -> dict[tuple[int, int], tuple[EdgeType, float]]:
-        """`{(sender, receiver): (most probable type, its probability)}` of one group, without pairs of type none."""
+        """`{(sender, receiver): (type in map, its probability)}` of one group, without pairs of type none."""
         types, probs = self.map[scene].tolist(), self.probs[scene].tolist()
         return {
             pair: (self.vocabulary[k], p[k])

@@ -5,7 +5,14 @@ import math
 import pytest
 import torch
 
-from cosim.loop.graph_source import graph_from_source, keep_where_unknown, on_same_pairs, smoothed
+from cosim.loop.graph_source import (
+    graph_from_source,
+    keep_where_unknown,
+    on_same_pairs,
+    reacting_in_doubt,
+    smoothed,
+    with_edges,
+)
 from cosim.spec.scenario import CarFollowing, Enforced, GroundTruth, Inferred, Merge
 from gri.core.graph import FOLLOWING, LANE_CHANGING, EdgeType, InteractionGraph, pairs
 
@@ -108,3 +115,16 @@ def test_a_sparse_graph_gets_the_pairs_that_are_enforced():
     same = on_same_pairs([enforced, graph])
     assert same[0].pairs == same[1].pairs
     assert same[1].edges().keys() == graph.edges().keys()
+
+
+def test_in_doubt_only_driven_vehicles_react_and_only_where_the_graph_is_inferred():
+    graph = InteractionGraph(torch.tensor([[[0.1, 0.0]] * 6]), FOLLOWING)
+    assert reacting_in_doubt(graph, Inferred(in_doubt="ignore"), [0, 1]) is graph
+    assert reacting_in_doubt(graph, GroundTruth(), [0, 1]) is graph
+    assert {receiver for _, receiver in reacting_in_doubt(graph, Inferred(), [0]).edges()} == {0}
+
+
+def test_what_is_prescribed_is_in_no_doubt():
+    graph = reacting_in_doubt(InteractionGraph(torch.tensor([[[0.1, 0.0]] * 6]), FOLLOWING), Inferred(), [0])
+    ((pair, _),) = graph.edges().items()
+    assert not with_edges(graph, {pair: EdgeType.NONE}, 3).edges()
