@@ -1,6 +1,7 @@
 """How the cost of a step grows with the vehicles around and with the driven groups, on one straight freeway.
 
     python benchmarks/growth.py [--out docs/images] [--vehicles 300,1000,3000,13000] [--groups 1,3,10,30,100]
+    python benchmarks/growth.py --write freeway     # only the road with 1,200 vehicles, to run `freeway/road.yaml`
 
 Six lanes, a vehicle every 40 m of each lane, as long as it takes. Ten groups drive among more and more vehicles; then
 one to a hundred groups among 3,000. Both sides of each figure are branches of one simulation that take turns
@@ -17,6 +18,7 @@ import matplotlib as mpl
 import numpy as np
 import torch
 from matplotlib import pyplot as plt
+from msgspec.structs import replace
 from step_cost import compare
 
 from cosim.loop.driving import Driver
@@ -37,7 +39,8 @@ traffic: {{routes: [road.rou.xml], warm_up: 10}}
 group: {{rule: car_following, min_gap: 2, max_gap: 45, max_time_gap: 2.5, min_speed: 1, max_speed_difference: 4}}
 policy: {{kind: {policy}}}
 horizon: 8.0
-watch: 0.0
+watch: 10.0
+episodes: 30
 max_work: 1000
 groups_at_once: {groups}
 """
@@ -87,6 +90,7 @@ def measure(vehicles: int, groups: int, policy: str) -> Cost:
     """The median of seven pairs of branches of one simulation."""
     with tempfile.TemporaryDirectory() as scratch:
         scenario = load_scenario(str(write_files(Path(scratch), vehicles, groups, policy)))
+        scenario = replace(scenario, watch=0.0)
         driver = driver_of(scenario)
         assert isinstance(driver, Driver)
         files = SumoFiles(find_net(scenario.net), Path(scratch, "r.rou.xml"), Path(scratch, "sumo.log"))
@@ -136,7 +140,12 @@ def main() -> None:
     parser.add_argument("--vehicles", default="300,1000,3000,13000")
     parser.add_argument("--groups", default="1,3,10,30,100")
     parser.add_argument("--policy", default="gri, checkpoint: us101_car_following")
+    parser.add_argument("--write", type=Path, help="folder for the files of one road; measures nothing")
     options = parser.parse_args()
+    if options.write:
+        options.write.mkdir(parents=True, exist_ok=True)
+        write_files(options.write, 1200, 6, options.policy)
+        return
     torch.set_num_threads(1)
     sweeps: dict[str, list[Cost]] = {"vehicles": [], "groups": []}
     cases = [("vehicles", int(n), 10) for n in options.vehicles.split(",")]

@@ -15,13 +15,17 @@ from gri.errors import InputError
 
 @dataclass(frozen=True)
 class InferredEdge:
-    """An edge that the policy inferred: from `time` [s] on, `receiver` reacts to `sender` by `type` (or "none")."""
+    """An edge that the policy inferred: from `time` [s] on, `receiver` reacts to `sender` by `type` (or "none").
+
+    One `in_doubt` is driven by although none is more probable.
+    """
 
     time: float
     sender: int
     receiver: int
     type: str
     probability: float
+    in_doubt: bool = False
 
 
 @dataclass(frozen=True)
@@ -99,9 +103,13 @@ def episode_view(tables: Mapping[str, pd.DataFrame], number: int, *, counterpart
 
 
 def _inferred_edges(graphs: pd.DataFrame, number: int) -> tuple[InferredEdge, ...]:
-    columns = ["time", "sender", "receiver", "type", "probability"]
+    columns = ["time", "sender", "receiver", "type", "probability", "in_doubt"]
+    graphs = graphs if "in_doubt" in graphs else graphs.assign(in_doubt=False)  # runs before decision 076
     rows = graphs.loc[graphs["episode"] == number, columns].to_numpy().tolist()
-    return tuple(InferredEdge(float(time), int(i), int(j), str(kind), float(p)) for time, i, j, kind, p in rows)
+    return tuple(
+        InferredEdge(float(time), int(i), int(j), str(kind), float(p), bool(doubt))
+        for time, i, j, kind, p, doubt in rows
+    )
 
 
 def same_start(tables: Mapping[str, pd.DataFrame], view: EpisodeView) -> int:

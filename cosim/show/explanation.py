@@ -209,7 +209,7 @@ def _graph(view: EpisodeView) -> list[str]:
     at_first = _at_takeover(view)
     lines = [
         f"{view.ids[e.receiver]} ({e.receiver}) {VERBS.get(e.type, e.type)} {view.ids[e.sender]} ({e.sender})"
-        f" (p {e.probability:.2f})."
+        f" (p {e.probability:.2f}{', in doubt: nobody is more probable' if e.in_doubt else ''})."
         for e in at_first
         if e.type != "none"
     ] or ["No vehicle reacts to another one."]
