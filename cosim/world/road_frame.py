@@ -160,7 +160,7 @@ class RoadFrame:
         start, direction, arc = self._segments
         if self.mirrored:
             xy = xy * [1, -1]
-        if len(direction) == 1:
+        if self.is_straight:
             along, across = _turned(xy[:, 0] - start[0, 0], xy[:, 1] - start[0, 1], direction[0])
             return along - self.origin, across
         segment = self._nearest(xy, within)
@@ -181,9 +181,7 @@ class RoadFrame:
         """The nearest segment of each point, of those within its range of s."""
         start, direction, arc = self._segments
         along, across = _turned(xy[:, :1] - start[:, 0], xy[:, 1:] - start[:, 1], direction.T)  # Shape: (V, M-1)
-        low, high = np.zeros(len(direction)), np.diff(arc)
-        low[0], high[-1] = -np.inf, np.inf
-        distance = np.hypot(along - np.clip(along, low, high), across)
+        distance = np.hypot(along - np.clip(along, 0.0, self._lengths), across)
         distance[:, self._jumps] = np.inf
         if within is not None:
             lowest, highest = (value + self.origin for value in within)
@@ -223,7 +221,7 @@ class RoadFrame:
         start, direction, arc = self._segments
         if self.is_straight and not self.mirrored:
             normal, heading = self._straight
-            xy = start[0] + (s + self.origin - arc[0])[:, None] * direction[0] + d[:, None] * normal
+            xy = start[0] + (s + self.origin)[:, None] * direction[0] + d[:, None] * normal
             return xy, np.full(len(s), heading)
         segment = self._segment_at(s)
         along = (s + self.origin - arc[segment])[:, None]
@@ -231,18 +229,14 @@ class RoadFrame:
         return xy * [1, -1] if self.mirrored else xy, self.heading_at(s)
 
     def _normal_at(self, s: Float[np.ndarray, " V"], segment: np.ndarray) -> Float[np.ndarray, "V 2"]:
-        _, direction, arc = self._segments
-        if len(direction) == 1:
-            return np.stack([-direction[segment, 1], direction[segment, 0]], axis=1)
-        normals, length = self._vertices[1], np.where(self._lengths[segment] > 0, self._lengths[segment], 1.0)
-        share = ((s + self.origin - arc[segment]) / length)[:, None]
+        normals, arc = self._vertices[1], self._segments[2]
+        share = ((s + self.origin - arc[segment]) / self._lengths[segment])[:, None]
         return normals[segment] + share * (normals[segment + 1] - normals[segment])
 
     def heading_at(self, s: Float[np.ndarray, " V"]) -> Float[np.ndarray, " V"]:
         """Heading of the road [rad], at right angles to its normals; it changes continuously."""
-        direction = self._segments[1]
-        if len(direction) == 1:
-            heading = np.full(len(s), np.arctan2(direction[0, 1], direction[0, 0]))
+        if self.is_straight:
+            heading = np.full(len(s), self._straight[1])
         else:
             normal = self._normal_at(s, self._segment_at(s))
             heading = np.arctan2(-normal[:, 0], normal[:, 1])
@@ -259,32 +253,31 @@ class RoadFrame:
 
     def line_at(self, d: float) -> LaneLine | None:
         """The line at this d [m], along which distances differ from s in bends; None on a straight road."""
-        if len(self._segments[1]) == 1:
+        if self.is_straight:
             return None
         line, normals = self._vertices
         steps = np.hypot(*np.diff(line + d * normals, axis=0).T)
         turned = (np.diff(line + d * normals, axis=0) * self._segments[1]).sum(axis=1) <= 0
         steps[turned | (self._lengths == 0)] = 0.0  # on the inner side of a corner a line may turn back
         s = self._segments[2] - self.origin
-        kept = np.concatenate([[True], (steps > 0) & (np.diff(s) > 0)])
+        kept = np.concatenate([[True], steps > 0])
         s, distance = s[kept], np.concatenate([[0.0], np.cumsum(steps)])[kept]
         return LaneLine(s, distance - np.interp(0.0, s, distance))
 
     def stretch_at(self, s: Float[np.ndarray, " V"], d: Float[np.ndarray, " V"]) -> Float[np.ndarray, " V"]:
         """Metres along the line at d per metre of s."""
-        if len(self._segments[1]) == 1:
+        if self.is_straight:
             return np.ones(len(s))
         segment = self._segment_at(s)
         normals = self._vertices[1]
         change = normals[segment + 1] - normals[segment]
-        length = np.where(self._lengths[segment] > 0, self._lengths[segment], np.inf)
-        return np.maximum(np.hypot(*(self._segments[1][segment] + d[:, None] * change / length[:, None]).T), 0.1)
+        turned = d[:, None] * change / self._lengths[segment][:, None]
+        return np.maximum(np.hypot(*(self._segments[1][segment] + turned).T), 0.1)
 
     def _segment_at(self, s: Float[np.ndarray, " V"]) -> Int[np.ndarray, " V"]:
-        _, direction, arc = self._segments
-        if len(direction) == 1:
-            return np.zeros(len(s), dtype=int)
-        return np.clip(np.searchsorted(arc, s + self.origin, side="right") - 1, 0, len(direction) - 1)
+        """The segment at each s, which is never one without a length; the first and the last one go on."""
+        arc = self._segments[2]
+        return np.clip(np.searchsorted(arc, s + self.origin, side="right") - 1, 0, len(arc) - 2)
 
 
 def _interpolated(x: np.ndarray, knots: np.ndarray, values: np.ndarray) -> np.ndarray:

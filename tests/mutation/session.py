@@ -19,6 +19,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
@@ -121,11 +122,11 @@ class Search:
     @pytest.hookimpl(tryfirst=True)
     def pytest_runtestloop(self, session: pytest.Session) -> bool:
         module = importlib.import_module(self._name)
-        known = functions(module)
+        known, kept = functions(module)
         source = Path(str(module.__file__)).read_text(encoding="utf-8")
         every = [mutant for mutant in mutants(self._name, source) if mutant.function in known]
         try:
-            found = tests_of(session, known)
+            found = tests_of(session, known, kept)
         except RuntimeError as error:
             self._tell({"error": f"the tests of {self._name} fail without any change: {error}"})
             self.ended = True
@@ -138,7 +139,7 @@ class Search:
             keys = keys_of(every)
             tasks = [(keys[k], str(every[k]), every[k].function, every[k]) for k in self._chosen.of(keys)]
         for key, text, name, change in tasks:
-            if isinstance(change, Mutant) and change.name in EQUIVALENT:
+            if key in EQUIVALENT:
                 outcome = "equivalent"
             elif key in self._known:
                 outcome = self._known[key]
@@ -161,16 +162,22 @@ class Search:
         return in_a_copy(run, max(LEAST, SLOWER * sum(tests.values())))
 
 
-def functions(module: ModuleType) -> dict[str, FunctionType]:
-    """The functions and methods of a module by qualified name, without what wraps them."""
-    found: dict[str, FunctionType] = {}
+def functions(module: ModuleType) -> tuple[dict[str, FunctionType], set[str]]:
+    """The functions and methods of a module by qualified name, without what wraps them; and which keep their results.
+
+    Those are run in the first test that needs them, so that any test may notice a change.
+    """
+    found, kept = dict[str, FunctionType](), set[str]()
 
     def add(value: Any) -> None:
+        keeps = isinstance(value, cached_property)
         value = value.fget if isinstance(value, property) else getattr(value, "__func__", getattr(value, "func", value))
         while hasattr(value, "__wrapped__"):
+            keeps |= hasattr(value, "cache_info")
             value = value.__wrapped__
         if isinstance(value, FunctionType) and value.__module__ == module.__name__:
             found[value.__qualname__] = value
+            kept.update([value.__qualname__] if keeps else [])
 
     for value in list(vars(module).values()):
         if isinstance(value, type) and value.__module__ == module.__name__:
@@ -178,7 +185,7 @@ def functions(module: ModuleType) -> dict[str, FunctionType]:
                 add(member)
         else:
             add(value)
-    return found
+    return found, kept
 
 
 def codes_of(tree: ast.Module, file: str) -> dict[str, CodeType]:
@@ -200,8 +207,8 @@ def keys_of(every: Sequence[Mutant]) -> list[str]:
     return keys
 
 
-def tests_of(session: pytest.Session, known: Mapping[str, FunctionType]) -> Found:
-    """Per function the tests that run it; RuntimeError if one of them fails."""
+def tests_of(session: pytest.Session, known: Mapping[str, FunctionType], kept: set[str]) -> Found:
+    """Per function the tests that run it, or all if its results are kept; RuntimeError if one of them fails."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "found.json"
 
@@ -209,7 +216,7 @@ def tests_of(session: pytest.Session, known: Mapping[str, FunctionType]) -> Foun
             watch = Watch({name: function.__code__ for name, function in known.items()})
             session.config.pluginmanager.register(watch)
             passed = run_items(session, session.items)
-            file.write_text(json.dumps([watch.last, watch.found()]))
+            file.write_text(json.dumps([watch.last, watch.found(kept)]))
             return passed
 
         outcome = in_a_copy(run, LONGEST)

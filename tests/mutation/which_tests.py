@@ -7,7 +7,7 @@ shortest first, so that most mutants are noticed within a second.
 import sys
 import time
 from collections import defaultdict
-from collections.abc import Generator, Mapping
+from collections.abc import Generator, Mapping, Set
 from types import CodeType, FrameType
 from typing import Any
 
@@ -48,10 +48,12 @@ class Watch:
             sys.setprofile(before)
             self._seconds[test] = self._seconds.get(test, 0.0) + time.perf_counter() - began
 
-    def found(self) -> Found:
-        """The tests of each function that any of them runs."""
+    def found(self, in_all: Set[str] = frozenset()) -> Found:
+        """The tests of each function that any of them runs; of some functions all tests count."""
         found: Found = defaultdict(dict)
         for test, seconds in self._seconds.items():
             for name in self._run[test] | self._run[test.partition("::")[0]]:
                 found[name][test] = seconds
+        for name in in_all & found.keys():
+            found[name] = dict(self._seconds)
         return dict(found)

@@ -51,6 +51,13 @@ def test_the_exact_test_alone_knows_touching_from_overlapping():
     assert boxes_overlap(crossing, one[np.arange(4)]).tolist() == [True, False, True, False]
 
 
+def test_a_box_at_45_degrees_is_apart_along_the_axis_of_the_other_alone():
+    """Half of its extent along x is (4 + 2)/2 · cos 45° = 2.12 m; with 2 m of the other box 4.12 m between centres."""
+    turned = [(-2 + apart + 2 * np.cos(np.pi / 4), 2 * np.sin(np.pi / 4), np.pi / 4) for apart in (4.1, 4.15)]
+    one, other = Boxes(*_boxes((0, 0, 0), (0, 0, 0))), Boxes(*_boxes(*turned))
+    assert boxes_overlap(one, other).tolist() == boxes_overlap(other, one).tolist() == [True, False]
+
+
 def test_a_box_does_not_hit_itself_and_rows_select_the_tested_vehicles():
     hits = overlapping_pairs(*_boxes((0, 0, 0), (1, 0, 0), (50, 0, 0)), np.array([1, 2]))
     assert hits.tolist() == [[1, 0]]

@@ -202,7 +202,7 @@ def test_comfort_by_hand():
 
 def test_lateral_change_and_effect_by_hand():
     """Together from 3.5 to 0.5 m: Δy = −3, wherever the lane is. A follower that brakes from 12 to 9 m/s loses 3."""
-    one, other = track(0.0, 1.0, d=[13.5, 9.0, 10.5], time=[0, 1, 2]), track(9.0, 1.0, d=10.0, time=[0, 1, 2])
+    one, other = track(0.0, 1.0, d=[6.5, 9.0, 9.5], time=[0, 1, 2]), track(9.0, 1.0, d=10.0, time=[0, 1, 2])
     assert surrogate_safety.lateral_change(one, other) == -3.0
     assert surrogate_safety.lateral_change(track(0.0, 1.0, d=[3.5, 0.5]), track(9.0, 1.0)) == -3.0
     effect = surrogate_safety.effect_on(track(0.0, [12.0, 9.0, 11.0], time=[0, 1, 2], a=[-7.0, -3.0, 2.0]))
@@ -315,6 +315,12 @@ def test_comfort_of_several_vehicles():
         "jerk_50": 3.0, "jerk_95": 6.0, "jerk_99": 6.0, "min_acceleration": -6.0,
         "brakings_2": 1.0, "brakings_3": 1.0, "hard_brakings": 1.0,
     }  # fmt: skip
+
+
+def test_one_instant_has_no_jerk():
+    found = surrogate_safety.comfort((track(0.0, 1.0, time=[0.0], a=-5.0),))
+    assert [found[f"jerk_{q}"] for q in (50, 95, 99)] == [0.0] * 3
+    assert (found["min_acceleration"], found["hard_brakings"]) == (-5.0, 1.0)
 
 
 def test_measures_do_not_depend_on_where_the_road_begins():

@@ -124,6 +124,19 @@ def test_an_outsider_that_came_into_the_lane_long_before_is_no_intruder():
     assert judged(Ending.CUT_IN, trace[0], snapshot(0.2 + SAME_TIME, **CHAIN, x=(30.0, 0.0))).intruders != ()
 
 
+def test_the_lane_of_a_group_is_where_vehicle_1_was_at_the_take_over():
+    """c is 0.6 m to the left of b; x is 0.7 m to the right of b."""
+    chain = CHAIN | {"c": (40.0, 0.6)}
+    takeover = snapshot(0.0, **chain, x=(30.0, LANE))
+    [entry] = judged(Ending.CUT_IN, snapshot(0.2, **chain, x=(30.0, -0.7)), takeover=takeover).intruders
+    assert entry.vehicle == "x"
+
+
+def test_a_member_that_vanishes_in_a_cut_in_did_not_drift():
+    gone = {name: place for name, place in CHAIN.items() if name != "b"}
+    assert judged(Ending.CUT_IN, snapshot(0.2, **gone)).broken_up_by is BrokenUpBy.UNKNOWN
+
+
 def test_an_outsider_that_appears_between_the_members_was_passed_by_nobody():
     now = snapshot(0.2, **CHAIN, new=(30.0, 0.0))
     assert judged(Ending.CUT_IN, now).broken_up_by is BrokenUpBy.UNKNOWN

@@ -23,6 +23,11 @@ ANGLES = TURN * np.arange(PIECES + 1)
 OUTWARD = np.stack([np.sin(ANGLES), -np.cos(ANGLES)], axis=1)
 PIECE = 2 * RADIUS * np.sin(TURN / 2)  # [m], the length of each of them
 BEND = RoadFrame(np.array([0.0, RADIUS]) + RADIUS * OUTWARD, normals=-OUTWARD)
+SHORT = RoadFrame(np.array([0.0, 5.0]) + 5 * OUTWARD, normals=-OUTWARD)  # the same with 5 m of radius: pieces of 0.25 m
+TWISTED = RoadFrame(  # a road that widens and narrows: the normals turn and are not of the same length
+    np.array([[0.0, 0.0], [20.0, 0.0], [40.0, 5.0], [60.0, 5.0]]),
+    normals=np.array([[0.0, 1.0], [-0.3, 1.2], [-0.1, 0.8], [0.0, 1.0]]),
+)
 STRAIGHT = RoadFrame(np.array([[10.0, 20.0], [40.0, 60.0]]), origin=20.0)  # 50 m to (0.6, 0.8)
 FLAT = np.array([[0.0, 0.0], [100.0, 0.0], [100.0, 3.5], [200.0, 3.5]])
 ASIDE = RoadFrame(FLAT, normals=np.tile([0.0, 1.0], (4, 1)), jumps=(1,))  # goes on 3.5 m to the left of its end
@@ -97,10 +102,15 @@ def test_a_bend_by_hand():
     assert BEND.end == pytest.approx(PIECES * PIECE)
 
 
-@pytest.mark.parametrize("road", [BEND, RoadFrame(BEND.points, 20.0, BEND.normals), mirrored(BEND)])
-@given(share=st.floats(-0.5, 1.5), d=st.floats(-20, 20))
+ROADS = [BEND, RoadFrame(BEND.points, 20.0, BEND.normals), mirrored(BEND), SHORT, TWISTED]
+
+
+@pytest.mark.parametrize("road", ROADS)
+@given(share=st.floats(-0.5, 1.5), d=st.floats(-0.4, 0.4))
 def test_road_round_trip_in_a_bend(road: RoadFrame, share: float, d: float):
-    s = np.array([share * PIECES * PIECE - road.origin])
+    """Up to 0.4 of 50 m (5 m in the short bend) to either side, and beyond the ends."""
+    s = np.array([share * (road.end + road.origin) - road.origin])
+    d *= 5.0 if road is SHORT else 10.0 if road is TWISTED else 50.0
     xy, _ = road.to_world(s, np.array([d]))
     np.testing.assert_allclose(road.to_road(xy), [s, [d]], atol=1e-7)
 
@@ -132,16 +142,17 @@ def test_mirrored_roads_have_the_same_coordinates_in_a_mirrored_world():
 
 def test_a_road_may_go_on_beside_its_end():
     """Up to x = 100 along y = 0, and from there on along y = 3.5: no metre is lost or driven twice."""
-    world = np.array([[50.0, 1.0], [99.9, 0.0], [100.1, 3.5], [150.0, 4.5], [150.0, 0.0], [40.0, 3.5]])
+    world = np.array([[50.0, 1.0], [99.9, 0.0], [100.1, 3.5], [150.0, 4.5], [150.0, 0.0], [101.0, 0.2], [99.0, 3.4]])
     s, d = ASIDE.to_road(world)
-    np.testing.assert_allclose(s, [50.0, 99.9, 100.1, 150.0, 150.0, 40.0], atol=1e-9)
-    np.testing.assert_allclose(d, [1.0, 0.0, 0.0, 1.0, -3.5, 3.5], atol=1e-9)
+    np.testing.assert_allclose(s, world[:, 0], atol=1e-9)
+    np.testing.assert_allclose(d, [1.0, 0.0, 0.0, 1.0, -3.5, -3.3, 3.4], atol=1e-9)
     np.testing.assert_allclose(ASIDE.to_world(s, d)[0], world, atol=1e-9)
     assert ASIDE.end == 200.0
     line = ASIDE.line_at(2.0)
     assert line is not None
     np.testing.assert_allclose(line.driven(s), s, atol=1e-9)
-    assert ASIDE.stretch_at(s, d).tolist() == [1.0] * 6
+    assert ASIDE.stretch_at(s, d).tolist() == [1.0] * 7
+    assert ASIDE.heading_at(np.array([99.0, 100.0, 101.0])).tolist() == [0.0] * 3
 
 
 def test_a_road_that_passes_itself_is_told_by_what_is_known_of_s():
@@ -152,8 +163,10 @@ def test_a_road_that_passes_itself_is_told_by_what_is_known_of_s():
     for low, high, wanted in ((0.0, 80.0, (40.0, 4.0)), (140.0, 180.0, (150.0, 6.0)), (-900.0, 900.0, (40.0, 4.0))):
         found = hairpin.to_road(xy, within=(np.array([low]), np.array([high])))
         np.testing.assert_allclose(np.ravel(found), wanted)
-    beyond = np.array([2000.0]), np.array([2100.0])
-    np.testing.assert_allclose(hairpin.to_road(xy, within=beyond), [[40.0], [4.0]])
+    nearer_back = np.array([[50.0, 6.0]])
+    for low, high, wanted in ((0.0, 80.0, (40.0, 6.0)), (140.0, 180.0, (150.0, 4.0)), (2000.0, 2100.0, (150.0, 4.0))):
+        found = hairpin.to_road(nearer_back, within=(np.array([low]), np.array([high])))
+        np.testing.assert_allclose(np.ravel(found), wanted)
 
 
 def test_the_curvature_of_a_bend_is_that_of_the_lane():
@@ -168,6 +181,9 @@ def test_the_curvature_of_a_bend_is_that_of_the_lane():
     assert BEND.curvature_at(middle[:1], np.array([49.0]))[0] == pytest.approx(10 * on_line, rel=1e-3), "not endless"
     half = BEND.curvature_at(np.array([0.0, BEND.end]), np.zeros(2))  # only 10 m of the 20 are in the bend
     np.testing.assert_allclose(half, 0.5 * on_line, rtol=0.03)
+    back = RoadFrame(BEND.points * -1, normals=BEND.normals * -1)  # headings from π on, which are those from −π on
+    np.testing.assert_allclose(back.curvature_at(middle, np.zeros(3)), on_line, rtol=1e-3)
+    np.testing.assert_allclose(back.curvature_at(np.zeros(1), np.zeros(1)), half[:1])
     u_turn = RoadFrame(np.array([[0.0, 0.0], [50.0, 0.0], [50.0, 5.0], [0.0, 5.0]]))
     assert u_turn.curvature_at(np.array([52.5]), np.zeros(1))[0] > 0, "a turn of nearly 180° keeps its side"
 
@@ -198,6 +214,18 @@ def test_a_lane_on_the_inside_of_a_sharp_corner_does_not_go_back():
     assert line.driven(np.array([0.0, 15.0, 60.0, 70.0])).tolist() == [0.0, 15.0, 30.0, 40.0]
 
 
+def test_a_road_that_widens_has_longer_lines_by_as_much():
+    """The normals of the first piece turn back by 0.3 and grow by 0.2: at d = 2 it is 0.6 m shorter and rises 0.4 m."""
+    line = TWISTED.line_at(2.0)
+    assert line is not None
+    assert line.driven(np.array([0.0, 20.0])) == pytest.approx([0.0, np.hypot(19.4, 0.4)])
+    assert TWISTED.stretch_at(np.array([5.0]), np.array([2.0]))[0] == pytest.approx(np.hypot(19.4, 0.4) / 20)
+    short = SHORT.line_at(1.0)
+    assert short is not None
+    assert short.driven(np.array([SHORT.end]))[0] == pytest.approx(0.8 * SHORT.end)
+    assert SHORT.stretch_at(np.array([0.5 * SHORT.end]), np.array([1.0]))[0] == pytest.approx(0.8)
+
+
 def test_a_lane_line_goes_on_with_slope_1():
     line = LaneLine(np.array([0.0, 10.0, 20.0]), np.array([0.0, 8.0, 20.0]))
     np.testing.assert_allclose(line.driven(np.array([-3.0, 5.0, 15.0, 26.0])), [-3.0, 4.0, 14.0, 26.0])
@@ -210,9 +238,10 @@ def test_a_place_is_whole_without_a_first_and_a_last_position():
 
 
 def test_a_repeated_point_has_no_direction():
-    normals = np.tile([0.0, 1.0], (3, 1))
+    points = np.array([[0.0, 0.0], [9.0, 0.0], [9.0, 0.0], [20.0, 0.0]])
+    road = RoadFrame(points, normals=np.tile([0.0, 1.0], (4, 1)))
     with np.errstate(invalid="ignore"), pytest.raises(AssertionError, match="repeated point"):
-        RoadFrame(np.array([[0.0, 0.0], [9.0, 0.0], [9.0, 0.0]]), normals=normals).to_road(np.zeros((1, 2)))
+        road.to_road(np.zeros((1, 2)))
 
 
 def test_road_heading_is_the_direction_of_the_piece():
