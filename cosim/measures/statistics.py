@@ -145,8 +145,7 @@ def corrected(p: Float[np.ndarray, " K"]) -> Float[np.ndarray, " K"]:
     """
     known = np.isfinite(p)
     adjusted = np.full(p.shape, np.nan)
-    if known.any():
-        adjusted[known] = stats.false_discovery_control(p[known])
+    adjusted[known] = stats.false_discovery_control(p[known])
     return adjusted
 
 

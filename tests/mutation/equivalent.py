@@ -3,6 +3,8 @@
 They count neither as noticed nor as not noticed.
 """
 
+# ruff: noqa: E501
+
 SAME_VALUE = "where the condition is not met, the other branch gives the same value; the condition saves time"
 EMPTY = "without any hit the loop has nothing to do, and the index gives an empty array"
 ONLY_MORE_CANDIDATES = "a fast test lets more through, which the exact test after it sorts out; it saves time"
@@ -11,112 +13,64 @@ EQUAL_LENGTHS = "both sequences are made with the same length; the check is ther
 TIMES_MINUS_1 = "to divide by 1 or −1 is to multiply by it"
 
 EQUIVALENT: dict[str, str] = {
-    "cosim.measures.surrogate_safety: pet: if (second.s - second.length > first.s + first.width).all() and (n"
-    "p.diff(second.s) >= 0).all():: if (second.s - second.length > first.s + first.width).all()  → never #1": SAME_VALUE,
-    "cosim.measures.surrogate_safety: pet: if (second.s - second.length > first.s + first.width).all() and (n"
-    "p.diff(second.s) >= 0).all():: second.s - second.length > first.s + first.width, Gt → GtE #1": SAME_VALUE,
-    "cosim.measures.surrogate_safety: pet: if (second.s - second.length > first.s + first.width).all() and (n"
-    "p.diff(second.s) >= 0).all():: np.diff(second.s) >= 0, GtE → Gt #1": SAME_VALUE,
-    "cosim.measures.surrogate_safety: pet: if (second.s - second.length > first.s + first.width).all() and (n"
-    "p.diff(second.s) >= 0).all():: 0 → 0 + 1 #1": SAME_VALUE,
-    "cosim.measures.surrogate_safety: pet: if (lag - PET_SUBSTEPS) * part >= below:: (lag - PET_SUBSTEPS) * p"
-    "art >= below, GtE → Gt #1": "such a value is not below the bound, and may be returned as inf",
-    "cosim.measures.surrogate_safety: pet: exact = next((k for k in range(max(lag - PET_SUBSTEPS, 0), lag) if"
-    " _overlap_after(late, early, k)), lag): 0 → 0 + 1 #1": "the lag 0 was tried before",
-    "cosim.measures.surrogate_safety: _overlap_after: near = np.abs(late.xy[lag:] - early.xy[:count]).max(axi"
-    "s=1) < reach: np.abs(late.xy[lag:] - early.xy[:count]).max(axis=1) < reach, Lt → LtE #1": ONLY_MORE_CANDIDATES,
+    "cosim.measures.surrogate_safety: pet: if (second.s - second.length > first.s + first.width).all() and (np.diff(second.s) >= 0).all():: if (second.s - second.length > first.s + first.width).all()  → never #1": SAME_VALUE,
+    "cosim.measures.surrogate_safety: pet: if (second.s - second.length > first.s + first.width).all() and (np.diff(second.s) >= 0).all():: second.s - second.length > first.s + first.width, Gt → GtE #1": SAME_VALUE,
+    "cosim.measures.surrogate_safety: pet: if (second.s - second.length > first.s + first.width).all() and (np.diff(second.s) >= 0).all():: np.diff(second.s) >= 0, GtE → Gt #1": SAME_VALUE,
+    "cosim.measures.surrogate_safety: pet: if (second.s - second.length > first.s + first.width).all() and (np.diff(second.s) >= 0).all():: 0 → 0 + 1 #1": SAME_VALUE,
+    "cosim.measures.surrogate_safety: pet: if (lag - PET_SUBSTEPS) * part >= below:: (lag - PET_SUBSTEPS) * part >= below, GtE → Gt #1": "such a value is not below the bound, and may be returned as inf",
+    "cosim.measures.surrogate_safety: pet: exact = next((k for k in range(max(lag - PET_SUBSTEPS, 0), lag) if _overlap_after(late, early, k)), lag): 0 → 0 + 1 #1": "the lag 0 was tried before",
+    "cosim.measures.surrogate_safety: _overlap_after: near = np.abs(late.xy[lag:] - early.xy[:count]).max(axis=1) < reach: np.abs(late.xy[lag:] - early.xy[:count]).max(axis=1) < reach, Lt → LtE #1": ONLY_MORE_CANDIDATES,
     "cosim.measures.surrogate_safety: _overlap_after: if not near.any():: if not near.any(): → never #1": SAME_VALUE,
-    "cosim.measures.surrogate_safety: _corners: centre + 0.5 * (u * track.length * forward + w * track.width "
-    "* left): centre + 0.5 * (u * track.length * forward + w * track.width, Add → Sub #1": "the corners come with all signs; the order goes round the box either way",
-    "cosim.measures.surrogate_safety: _corners: centre + 0.5 * (u * track.length * forward + w * track.width "
-    "* left): u * track.length * forward + w * track.width * left, Add → Sub #1": "the corners come with all signs; the order goes round the box either way",
-    "cosim.measures.surrogate_safety: _corner_to_side: side = np.roll(box, -1, axis=1) - box: -1 → without it"
-    "s sign #1": "all four sides, each from its other end",
-    "cosim.measures.surrogate_safety: _paths_may_cross: along = second.s.max() + second.width > (first.s - fi"
-    "rst.length).min() - first.width: second.s.max() + second.width > (first.s - first.length).min, Gt → GtE "
-    "#1": ONLY_MORE_CANDIDATES,
-    "cosim.measures.surrogate_safety: _paths_may_cross: side = 0.5 * (second.width + first.width) + 1.0 + _sw"
-    "ing(second) + _swing(first): 0.5 → 0.5 + 1 #1": ONLY_MORE_CANDIDATES,
-    "cosim.measures.surrogate_safety: _paths_may_cross: side = 0.5 * (second.width + first.width) + 1.0 + _sw"
-    "ing(second) + _swing(first): 1.0 → 1.0 + 1 #1": ONLY_MORE_CANDIDATES,
-    "cosim.measures.surrogate_safety: _paths_may_cross: across = second.d.min() - first.d.max() < side and fi"
-    "rst.d.min() - second.d.max() < side: second.d.min() - first.d.max() < side and first.d.min() - se, And →"
-    " Or #1": ONLY_MORE_CANDIDATES,
-    "cosim.measures.surrogate_safety: _paths_may_cross: across = second.d.min() - first.d.max() < side and fi"
-    "rst.d.min() - second.d.max() < side: second.d.min() - first.d.max() < side, Lt → LtE #1": ONLY_MORE_CANDIDATES,
-    "cosim.measures.surrogate_safety: _paths_may_cross: across = second.d.min() - first.d.max() < side and fi"
-    "rst.d.min() - second.d.max() < side: first.d.min() - second.d.max() < side, Lt → LtE #1": ONLY_MORE_CANDIDATES,
-    "cosim.measures.surrogate_safety: _paths_may_cross: return bool(along and across): along and across, And "
-    "→ Or #1": ONLY_MORE_CANDIDATES,
+    "cosim.measures.surrogate_safety: _corners: centre + 0.5 * (u * track.length * forward + w * track.width * left): centre + 0.5 * (u * track.length * forward + w * track.width, Add → Sub #1": "the corners come with all signs; the order goes round the box either way",
+    "cosim.measures.surrogate_safety: _corners: centre + 0.5 * (u * track.length * forward + w * track.width * left): u * track.length * forward + w * track.width * left, Add → Sub #1": "the corners come with all signs; the order goes round the box either way",
+    "cosim.measures.surrogate_safety: _corner_to_side: side = np.roll(box, -1, axis=1) - box: -1 → without its sign #1": "all four sides, each from its other end",
+    "cosim.measures.surrogate_safety: _paths_may_cross: along = second.s.max() + second.width > (first.s - first.length).min() - first.width: second.s.max() + second.width > (first.s - first.length).min, Gt → GtE #1": ONLY_MORE_CANDIDATES,
+    "cosim.measures.surrogate_safety: _paths_may_cross: side = 0.5 * (second.width + first.width) + 1.0 + _swing(second) + _swing(first): 0.5 → 0.5 + 1 #1": ONLY_MORE_CANDIDATES,
+    "cosim.measures.surrogate_safety: _paths_may_cross: side = 0.5 * (second.width + first.width) + 1.0 + _swing(second) + _swing(first): 1.0 → 1.0 + 1 #1": ONLY_MORE_CANDIDATES,
+    "cosim.measures.surrogate_safety: _paths_may_cross: across = second.d.min() - first.d.max() < side and first.d.min() - second.d.max() < side: second.d.min() - first.d.max() < side and first.d.min() - se, And → Or #1": ONLY_MORE_CANDIDATES,
+    "cosim.measures.surrogate_safety: _paths_may_cross: across = second.d.min() - first.d.max() < side and first.d.min() - second.d.max() < side: second.d.min() - first.d.max() < side, Lt → LtE #1": ONLY_MORE_CANDIDATES,
+    "cosim.measures.surrogate_safety: _paths_may_cross: across = second.d.min() - first.d.max() < side and first.d.min() - second.d.max() < side: first.d.min() - second.d.max() < side, Lt → LtE #1": ONLY_MORE_CANDIDATES,
+    "cosim.measures.surrogate_safety: _paths_may_cross: return bool(along and across): along and across, And → Or #1": ONLY_MORE_CANDIDATES,
     "cosim.measures.surrogate_safety: _swing: moves = ds + dd > 0.05: ds + dd > 0.05, Gt → GtE #1": ONLY_MORE_CANDIDATES,
-    "cosim.measures.surrogate_safety: _swing: return track.length * float((dd[moves] / np.hypot(ds, dd)[moves"
-    "]).max(initial=0.0)): 0.0 → 0.0 + 1 #1": ONLY_MORE_CANDIDATES,
-    "cosim.measures.surrogate_safety: _common_instants: if np.array_equal(one.time, other.time):: if np.array"
-    "_equal(one.time, other.time): → never #1": SAME_VALUE,
-    'cosim.measures.surrogate_safety: comfort: **{f"jerk_{100 * q:.0f}": float(value) for q, value in zip(JER'
-    "K_QUANTILES, quantiles, strict=True)},: True → False #1": EQUAL_LENGTHS,
-    "cosim.measures.collision_detection: overlapping_pairs: half_extent = 0.5 * (length * along + width * alo"
-    "ng[::-1])  # of the axis-parallel bounding box, in x and y: 0.5 → 0.5 + 1 #1": ONLY_MORE_CANDIDATES,
-    "cosim.measures.collision_detection: overlapping_pairs: close = np.abs(centre[:, None] - centre[:, rows, "
-    "None]) < half_extent[:, None] + half_extent[:, rows, None]: np.abs(centre[:, None] - centre[:, rows, Non"
-    "e]) < half_exten, Lt → LtE #1": ONLY_MORE_CANDIDATES,
+    "cosim.measures.surrogate_safety: _swing: return track.length * float((dd[moves] / np.hypot(ds, dd)[moves]).max(initial=0.0)): 0.0 → 0.0 + 1 #1": ONLY_MORE_CANDIDATES,
+    "cosim.measures.surrogate_safety: _common_instants: if np.array_equal(one.time, other.time):: if np.array_equal(one.time, other.time): → never #1": SAME_VALUE,
+    'cosim.measures.surrogate_safety: comfort: **{f"jerk_{100 * q:.0f}": float(value) for q, value in zip(JERK_QUANTILES, quantiles, strict=True)},: True → False #1': EQUAL_LENGTHS,
+    "cosim.measures.collision_detection: overlapping_pairs: half_extent = 0.5 * (length * along + width * along[::-1])  # of the axis-parallel bounding box, in x and y: 0.5 → 0.5 + 1 #1": ONLY_MORE_CANDIDATES,
+    "cosim.measures.collision_detection: overlapping_pairs: close = np.abs(centre[:, None] - centre[:, rows, None]) < half_extent[:, None] + half_extent[:, rows, None]: np.abs(centre[:, None] - centre[:, rows, None]) < half_exten, Lt → LtE #1": ONLY_MORE_CANDIDATES,
     "cosim.measures.collision_detection: overlapping_pairs: if not near.any():: if not near.any(): → never #1": SAME_VALUE,
-    "cosim.measures.statistics: paired_difference: added = mean(np.append(difference, [1.0, -1.0]), np.append"
-    "(index, [-1, -2])): 2 → 2 + 1 #1": "any label that no cluster has",
-    "cosim.measures.statistics: with_correction: return [replace(test, p_corrected=float(found)) for test, fo"
-    "und in zip(tests, p, strict=True)]: True → False #1": EQUAL_LENGTHS,
+    "cosim.measures.statistics: paired_difference: added = mean(np.append(difference, [1.0, -1.0]), np.append(index, [-1, -2])): 2 → 2 + 1 #1": "any label that no cluster has",
+    "cosim.measures.statistics: with_correction: return [replace(test, p_corrected=float(found)) for test, found in zip(tests, p, strict=True)]: True → False #1": EQUAL_LENGTHS,
     "cosim.measures.statistics: _effective_size: quantile = (1 + LEVEL) / 2: 1 + LEVEL, Add → Sub #1": "both quantiles change their sign, and their ratio is squared",
-    "cosim.world.road_frame: RoadFrame._vertices: return (line * [1, -1], normals * [1, -1]) if self.mirrored"
-    " else (line, normals): line * [1, -1], Mult → Div #1": TIMES_MINUS_1,
-    "cosim.world.road_frame: RoadFrame._vertices: return (line * [1, -1], normals * [1, -1]) if self.mirrored"
-    " else (line, normals): normals * [1, -1], Mult → Div #1": TIMES_MINUS_1,
+    "cosim.world.road_frame: RoadFrame._vertices: return (line * [1, -1], normals * [1, -1]) if self.mirrored else (line, normals): line * [1, -1], Mult → Div #1": TIMES_MINUS_1,
+    "cosim.world.road_frame: RoadFrame._vertices: return (line * [1, -1], normals * [1, -1]) if self.mirrored else (line, normals): normals * [1, -1], Mult → Div #1": TIMES_MINUS_1,
     "cosim.world.road_frame: RoadFrame.to_road: xy = xy * [1, -1]: xy * [1, -1], Mult → Div #1": TIMES_MINUS_1,
-    "cosim.world.road_frame: RoadFrame.to_road: for _ in range(20):  # from the nearest segment to the one be"
-    "tween whose normals the point is: 20 → 20 + 1 #1": "more segments than a point is ever away from its own",
-    "cosim.world.road_frame: RoadFrame.to_road: move = np.where(share > 1, forward[segment], np.where(share <"
-    " 0, -backward[segment], 0)): share > 1, Gt → GtE #1": "at a vertex, both segments give the same place",
-    "cosim.world.road_frame: RoadFrame.to_road: move = np.where(share > 1, forward[segment], np.where(share <"
-    " 0, -backward[segment], 0)): share < 0, Lt → LtE #1": "at a vertex, both segments give the same place",
-    "cosim.world.road_frame: RoadFrame.to_road: if (following == segment).all():: if (following == segment).a"
-    "ll(): → never #1": SAME_VALUE,
-    "cosim.world.road_frame: RoadFrame.to_world: if self.is_straight and not self.mirrored:: if self.is_strai"
-    "ght and (not self.mirrored): → never #1": SAME_VALUE,
-    "cosim.world.road_frame: RoadFrame.to_world: return xy * [1, -1] if self.mirrored else xy, self.heading_a"
-    "t(s): xy * [1, -1], Mult → Div #1": TIMES_MINUS_1,
+    "cosim.world.road_frame: RoadFrame.to_road: for _ in range(20):  # from the nearest segment to the one between whose normals the point is: 20 → 20 + 1 #1": "more segments than a point is ever away from its own",
+    "cosim.world.road_frame: RoadFrame.to_road: move = np.where(share > 1, forward[segment], np.where(share < 0, -backward[segment], 0)): share > 1, Gt → GtE #1": "at a vertex, both segments give the same place",
+    "cosim.world.road_frame: RoadFrame.to_road: move = np.where(share > 1, forward[segment], np.where(share < 0, -backward[segment], 0)): share < 0, Lt → LtE #1": "at a vertex, both segments give the same place",
+    "cosim.world.road_frame: RoadFrame.to_road: if (following == segment).all():: if (following == segment).all(): → never #1": SAME_VALUE,
+    "cosim.world.road_frame: RoadFrame.to_world: if self.is_straight and not self.mirrored:: if self.is_straight and (not self.mirrored): → never #1": SAME_VALUE,
+    "cosim.world.road_frame: RoadFrame.to_world: return xy * [1, -1] if self.mirrored else xy, self.heading_at(s): xy * [1, -1], Mult → Div #1": TIMES_MINUS_1,
     "cosim.world.road_frame: RoadFrame.heading_at: if self.is_straight:: if self.is_straight: → never #1": SAME_VALUE,
     "cosim.world.road_frame: RoadFrame.line_at: kept = np.concatenate([[True], steps > 0]): True → False #1": "the line begins with a long straight piece, and goes on with slope 1",
     "cosim.world.road_frame: RoadFrame.stretch_at: if self.is_straight:: if self.is_straight: → never #1": SAME_VALUE,
     "cosim.world.contacts: contacts_of: if not len(hits):: if not len(hits): → never #1": EMPTY,
-    "cosim.world.contacts: contacts_of: if vehicles & members[g] and vehicles not in found[g] and now.time <="
-    " end + AFTERMATH + 1e-6:: now.time <= end + AFTERMATH + 1e-06, LtE → Lt #1": NOT_THAT_CLOSE,
+    "cosim.world.contacts: contacts_of: if vehicles & members[g] and vehicles not in found[g] and now.time <= end + AFTERMATH + 1e-6:: now.time <= end + AFTERMATH + 1e-06, LtE → Lt #1": NOT_THAT_CLOSE,
     "cosim.world.contacts: touching_pairs: if not len(hits):: if not len(hits): → never #1": SAME_VALUE,
-    "cosim.world.contacts: touching_pairs: return hits if near.all() else hits[near]: hits if near.all() else"
-    " hits[near] → never #1": SAME_VALUE,
-    "cosim.world.contacts: _contact: after_hand_back=now.time > end + 1e-6,: now.time > end + 1e-06, Gt → GtE"
-    " #1": NOT_THAT_CLOSE,
+    "cosim.world.contacts: touching_pairs: return hits if near.all() else hits[near]: hits if near.all() else hits[near] → never #1": SAME_VALUE,
+    "cosim.world.contacts: _contact: after_hand_back=now.time > end + 1e-6,: now.time > end + 1e-06, Gt → GtE #1": NOT_THAT_CLOSE,
     "cosim.world.break_ups: lane_entries: for g, place in zip(groups, places, strict=True):: True → False #1": EQUAL_LENGTHS,
     "cosim.world.break_ups: _earlier_d: if before.ids == now.ids:: if before.ids == now.ids: → never #1": SAME_VALUE,
-    "cosim.world.break_ups: _earlier_d: d = dict(zip(before.ids, before.d.tolist(), strict=True)): True → Fal"
-    "se #1": EQUAL_LENGTHS,
-    "cosim.world.break_ups: with_cause: k = next((k for k, now in enumerate(trace) if now.time >= episode.end"
-    " - 1e-6), len(trace) - 1): now.time >= episode.end - 1e-06, GtE → Gt #1": NOT_THAT_CLOSE,
-    "cosim.world.break_ups: do_the_same: one.vehicle == other.vehicle and abs(one.time - other.time) <= SAME_"
-    "TIME + 1e-6: abs(one.time - other.time) <= SAME_TIME + 1e-06, LtE → Lt #1": NOT_THAT_CLOSE,
-    "cosim.world.break_ups: _recent: return tuple(entry for entry in found if episode.end - entry.time <= SAM"
-    "E_TIME + 1e-6): episode.end - entry.time <= SAME_TIME + 1e-06, LtE → Lt #1": NOT_THAT_CLOSE,
-    "cosim.world.break_ups: _passed: if not {member, other} <= set(before.ids) & set(now.ids):: {member, othe"
-    "r} <= set(before.ids) & set(now.ids), LtE → Lt #1": "there are two members and an outsider",
-    "cosim.batch.group_statistics: headline: dict(zip(by, key if isinstance(key, tuple) else (key,), strict=T"
-    "rue)): True → False #1": EQUAL_LENGTHS,
-    "cosim.batch.group_statistics: differences: return dict(zip(BY_NAME, with_correction(tests), strict=True)"
-    "): True → False #1": EQUAL_LENGTHS,
-    'cosim.runs.run_tables: groups_table: table["leader_deviation"] = [leader_deviation(*pair) for pair in zi'
-    "p(episodes, left, strict=True)]: True → False #1": EQUAL_LENGTHS,
-    "cosim.runs.run_tables: _inferred_graph_columns: for (i, j), kind, p in zip(reported, types, probabilitie"
-    "s, strict=True):: True → False #1": EQUAL_LENGTHS,
+    "cosim.world.break_ups: _earlier_d: d = dict(zip(before.ids, before.d.tolist(), strict=True)): True → False #1": EQUAL_LENGTHS,
+    "cosim.world.break_ups: with_cause: k = next((k for k, now in enumerate(trace) if now.time >= episode.end - 1e-6), len(trace) - 1): now.time >= episode.end - 1e-06, GtE → Gt #1": NOT_THAT_CLOSE,
+    "cosim.world.break_ups: do_the_same: one.vehicle == other.vehicle and abs(one.time - other.time) <= SAME_TIME + 1e-6: abs(one.time - other.time) <= SAME_TIME + 1e-06, LtE → Lt #1": NOT_THAT_CLOSE,
+    "cosim.world.break_ups: _recent: return tuple(entry for entry in found if episode.end - entry.time <= SAME_TIME + 1e-6): episode.end - entry.time <= SAME_TIME + 1e-06, LtE → Lt #1": NOT_THAT_CLOSE,
+    "cosim.world.break_ups: _passed: if not {member, other} <= set(before.ids) & set(now.ids):: {member, other} <= set(before.ids) & set(now.ids), LtE → Lt #1": "there are two members and an outsider",
+    "cosim.batch.group_statistics: headline: dict(zip(by, key if isinstance(key, tuple) else (key,), strict=True)): True → False #1": EQUAL_LENGTHS,
+    "cosim.batch.group_statistics: differences: return dict(zip(BY_NAME, with_correction(tests), strict=True)): True → False #1": EQUAL_LENGTHS,
+    'cosim.runs.run_tables: groups_table: table["leader_deviation"] = [leader_deviation(*pair) for pair in zip(episodes, left, strict=True)]: True → False #1': EQUAL_LENGTHS,
+    "cosim.runs.run_tables: _inferred_graph_columns: for (i, j), kind, p in zip(reported, types, probabilities, strict=True):: True → False #1": EQUAL_LENGTHS,
     "cosim.runs.run_tables: graphs_table: strict=True,: True → False #1": EQUAL_LENGTHS,
-    "cosim.runs.run_tables: graphs_table: for (i, j), k, p in zip(graph.pairs, types, probabilities, strict=T"
-    "rue): True → False #1": EQUAL_LENGTHS,
+    "cosim.runs.run_tables: graphs_table: for (i, j), k, p in zip(graph.pairs, types, probabilities, strict=True): True → False #1": EQUAL_LENGTHS,
     "gri.storage.whole_files: _sync: if folder:  # Windows opens no folders: if folder: → never #1": "for Windows only",
 }
 """By the key of a mutant (`session.keys_of`): why the program does the same."""
