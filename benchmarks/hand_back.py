@@ -30,7 +30,17 @@ from gri.table import markdown_table
 SCENARIOS = "us101_car_following", "i80_car_following", "us101_merge", "i80_merge", "curved_merge"
 MOST_JERK = 10.0  # [m/s³] that a hand-back may have
 DRIVERS = {False: "driven", True: "left alone"}
-HEAD = ("", "groups", "≥ 2 m/s² [%]", "≥ 3 m/s² [%]", "hardest [m/s²]", "jerk [m/s³]", "jerk > 10 [%]", "contacts")
+HEAD = (
+    "",
+    "groups",
+    "≥ 2 m/s² [%]",
+    "≥ 3 m/s² [%]",
+    "hardest [m/s²]",
+    "jerk [m/s³]",
+    "jerk > 10 [%]",
+    "contacts before",
+    "after",
+)
 BEGIN, END = "<!-- figures: written by benchmarks/hand_back.py -->\n", "<!-- end of figures -->"
 
 
@@ -56,8 +66,8 @@ def line(name: str, rows: pd.DataFrame) -> list[str]:
     braking, jerk = rows["braking_after"], rows["jerk_after"]
     shares = [f"{100 * (braking >= limit).mean():.1f}" for limit in BRAKING]
     rough = f"{100 * (jerk > MOST_JERK + 1e-6).mean():.1f}"
-    contacts = int((rows["contacts_after"] > 0).sum())
-    return [name, str(len(rows)), *shares, f"{braking.max():.1f}", f"{jerk.max():.1f}", rough, str(contacts)]
+    contacts = int((rows["ending"] == "contact").sum()), int((rows["contacts_after"] > 0).sum())
+    return [name, str(len(rows)), *shares, f"{braking.max():.1f}", f"{jerk.max():.1f}", rough, *map(str, contacts)]
 
 
 def table(groups: pd.DataFrame) -> str:

@@ -18,6 +18,7 @@ COMFORTABLE_JERK, FIRM_JERK, EMERGENCY_JERK = 5.0, 9.0, 30.0  # [m/s³]
 NOTICED, FIRM, EMERGENCY = 1.0, 2.0, 5.0  # [m/s²] of required braking: from here on it counts, and the jerk is larger
 HARDEST_BRAKING = 9.0  # [m/s²], what a dry road allows
 CLEARANCE, TOUCHING = 1.0, 0.01  # [m] that a driver who must brake keeps to the vehicle ahead; nearer is a contact
+PLACES = 10  # of a drift that are looked at
 LATERAL_SPEED, SHORTEST_DRIFT = 0.4, 3.0  # [m/s] at most, and [s] at least, for the drift to the centre of the lane
 
 
@@ -110,6 +111,12 @@ class Drift:
         u = min(time / self.duration, 1.0)
         way = 1 - 10 * u**3 + 15 * u**4 - 6 * u**5
         return self.offset * way + self.rate * self.duration * (u - 6 * u**3 + 8 * u**4 - 3 * u**5)
+
+    def range_from(self, time: float) -> tuple[float, float]:
+        """The rightmost and the leftmost lateral position [m] from `time` [s] on."""
+        left = max(self.duration - time, 0.0)
+        places = [self.at(time + left * k / PLACES) for k in range(PLACES + 1)]
+        return min(places), max(places)
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,9 @@ from cosim.world.groups import MergeLanes
 from cosim.world.road_frame import RoadFrame
 from cosim.world.snapshot import Snapshot
 
+LOOK_AHEAD = 100.0  # [m] in another lane
+CENTRED = 0.3  # [m] from the centre of a lane, from which SUMO may change it: it keeps that offset in the new lane
+
 
 @dataclass(frozen=True)
 class Return:
@@ -66,8 +69,6 @@ class ReturningVehicles:
         must_leave = drivers.way_in_lane(vehicle) < math.inf
         self._returns[vehicle] = Return(own, own, acceleration, drift, a, checked, must_leave)
         world.begin_release(vehicle)
-        if must_leave:
-            world.allow_lane_changes(vehicle)
 
     def stop(self, world: Sumo, vehicle: str, state: Stop) -> None:
         """Begin to stop a vehicle."""
@@ -110,6 +111,12 @@ class ReturningVehicles:
             end = Ahead(drivers.way_in_lane(vehicle), 0.0, 0.0)
             for_the_end = plan.wanted_acceleration(v, limit, state.acceleration, Headway(0.0, plan.CLEARANCE), end)
             wanted, required = min(wanted, for_the_end), max(required, plan.required_braking(v, end))
+        beside = _in_way_of_drift(now, row, state.drift, state.time, leader)  # SUMO's driver does not see it
+        if beside is not None and beside.gap > plan.TOUCHING:
+            for_it = plan.wanted_acceleration(v, limit, state.acceleration, plan.found(headway, v, beside), beside)
+            wanted, required = min(wanted, for_it), max(required, plan.required_braking(v, beside))
+        elif beside is not None:
+            wanted = min(wanted, -plan.FIRM)
         a = plan.next_acceleration(state.a if state.time == 0 else float(now.a[row]), wanted, required, dt)
         speed, lateral = max(v + a * dt, 0.0), state.drift.at(time)
         world.set_headway(vehicle, headway.time, headway.gap)
@@ -120,6 +127,8 @@ class ReturningVehicles:
             net_gap, braking = gap - headway.gap, drivers.braking(leader)
             known = min(limit, drivers.follow_speed(vehicle, v, net_gap, ahead.v, braking))
         world.guide(vehicle, speed, lateral, safely=state.checked and speed <= known)
+        if state.must_leave and abs(lateral) < CENTRED:
+            world.allow_lane_changes(vehicle)
         aside = lateral - state.drift.at(state.time)
         self._show(world, road, vehicle, (s + speed * dt, d + aside, 0.0, speed), now)
         self._returns[vehicle] = replace(state, headway=headway, leader=leader, time=time)
@@ -131,6 +140,23 @@ class ReturningVehicles:
         if self.lanes is None:
             return ""
         return shadow_vehicles.place(world, road, vehicle, pose, self.lanes, now, self.dt, announcing=False)
+
+
+def _in_way_of_drift(now: Snapshot, row: int, drift: Drift, time: float, leader: str) -> Ahead | None:
+    """The nearest vehicle ahead in another lane into which a returning vehicle reaches from `time` [s] of its drift on.
+
+    The gap to one that is beside it is negative. None where it is the `leader`, too.
+    """
+    rightmost, leftmost = drift.range_from(time)
+    centre, apart = now.d[row] - drift.at(time), 0.5 * (now.width + now.width[row])
+    reached = (now.d > centre + rightmost - apart) & (now.d < centre + leftmost + apart)
+    elsewhere = np.abs(now.d - centre) > 0.5 * now.width[row]
+    gap = now.s - now.length - now.s[row]
+    ahead = np.flatnonzero(reached & elsewhere & (now.s > now.s[row]) & (gap < LOOK_AHEAD))
+    nearest = int(ahead[gap[ahead].argmin()]) if len(ahead) else row
+    if nearest == row or now.ids[nearest] == leader:
+        return None
+    return Ahead(float(gap[nearest]), float(now.v[nearest]), float(now.a[nearest]))
 
 
 def stop_of(now: Snapshot, road: RoadFrame, vehicle: str, a: float, braking: float) -> Stop:
