@@ -114,8 +114,7 @@ class _Packing:
 
     def __init__(self, shards: Shards | None, runs: Sequence[Run], store: BatchStore, warn: Warn) -> None:
         self._shards, self._store, self._warn = shards, store, warn
-        size = shards.runs if shards else 1
-        self._members = [runs[k : k + size] for k in range(0, len(runs), size)] if shards else []
+        self._members = [runs[k : k + shards.runs] for k in range(0, len(runs), shards.runs)] if shards else []
         self._place = {run.id: k for k, members in enumerate(self._members) for run in members}
         self._open = [{run.id for run in members} for members in self._members]
         self._checked = False

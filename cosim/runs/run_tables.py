@@ -142,7 +142,7 @@ def _inferred_graph_columns(episode: Episode, expected: Mapping[tuple[int, int],
     inferred = replace(episode.graph, in_doubt=None)
     graph = inferred.on(reported)
     types = [graph.vocabulary[k] for k in graph.map[0].tolist()]
-    probabilities = graph.probs[0].max(-1).values.tolist()
+    probabilities = graph.probs[0].max(1).values.tolist()
     belief: dict[str, Any] = {}
     for (i, j), kind, p in zip(reported, types, probabilities, strict=True):
         belief[f"edge_{i}_{j}"] = kind.value

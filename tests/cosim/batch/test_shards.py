@@ -122,6 +122,22 @@ def test_results_are_readable_while_shards_are_incomplete(five):
     assert five.store.finished() == set(five.ids[:3])
 
 
+def test_a_sharded_batch_knows_its_tables_and_says_which_it_has_not(five):
+    """Three runs are done; two of them are in a shard, and one has a folder."""
+    with pytest.raises(KeyboardInterrupt):
+        five.go(stop_after=1)
+    assert five.store.has_table("groups"), "in a folder"
+    with pytest.raises(KeyboardInterrupt):
+        five.go(stop_after=2)
+    assert five.store.has_table("groups")
+    assert not five.store.has_table("pair_graphs")
+    with pytest.raises(InputError, match=r"pair_graphs: no run has finished that wrote this table"):
+        five.store.table("pair_graphs", five.ids)
+    assert five.go().done == 5
+    assert five.store.has_table("groups"), "in shards"
+    assert not five.store.has_table("pair_graphs")
+
+
 def test_a_reader_sees_runs_that_are_packed_meanwhile(five, monkeypatch):
     with pytest.raises(KeyboardInterrupt):
         five.go(stop_after=3)

@@ -6,7 +6,10 @@ from pathlib import Path
 import pytest
 
 from cosim.batch.store import BatchStore
+from cosim.runs.run_reading import TABLES
+from cosim.runs.share_reading import SHARE_TABLES
 from gri.errors import InputError
+from gri.storage.verification import DamagedError
 from tests.cosim.runs.finished import finished_run, flip
 
 RUNS = {"ra", "rb"}
@@ -79,6 +82,91 @@ def test_a_damaged_copy_of_a_table_is_copied_again(store, damage):
         store.table("groups", ["ra"])
     assert opened(store) == []
     assert part.read_bytes() == content
+
+
+def test_tables_are_links_to_the_files_of_the_runs(store):
+    """They cost no space, also after a damaged one was replaced."""
+    part, own = store.folder / "groups/run=ra/part.parquet", store.run_folder("ra") / "groups.parquet"
+    assert part.samefile(own)
+    content = own.read_bytes()
+    part.unlink()
+    part.write_bytes(content[:-1])
+    assert opened(store) == []
+    assert part.samefile(own)
+    assert own.read_bytes() == content
+
+
+def test_where_the_file_system_has_no_links_tables_are_copies(store, monkeypatch):
+    def no_links(*_):
+        raise OSError(95, "Operation not supported")
+
+    monkeypatch.setattr(os, "link", no_links)
+    with store.opened(RUNS | {"rc"}, pytest.fail):
+        store.finish("rc", finished_run(store.attempt_folder("rc", 0), speed=25.0))
+    assert store.table("steps", ["rc"])["v"].tolist() == [25.0, 25.0]
+    assert not (store.folder / "steps/run=rc/part.parquet").samefile(store.run_folder("rc") / "steps.parquet")
+
+
+def test_tables_of_shares_have_links_as_well_and_a_run_may_have_no_others(store):
+    with store.opened(RUNS | {"rc"}, pytest.fail):
+        partial = finished_run(store.attempt_folder("rc", 0))
+        for table in TABLES[1:]:
+            (partial / f"{table}.parquet").unlink()
+        (partial / f"{TABLES[0]}.parquet").rename(partial / f"{SHARE_TABLES[0]}.parquet")
+        store.finish("rc", partial)
+    own = store.run_folder("rc") / f"{SHARE_TABLES[0]}.parquet"
+    assert (store.folder / SHARE_TABLES[0] / "run=rc/part.parquet").samefile(own)
+    assert not (store.folder / TABLES[0] / "run=rc").exists()
+    assert store.has_table(SHARE_TABLES[0])
+
+
+def test_a_batch_knows_which_tables_its_runs_wrote(store, tmp_path):
+    assert store.has_table("groups")
+    assert not store.has_table(SHARE_TABLES[0])
+    empty = BatchStore(tmp_path / "empty")
+    with empty.opened(set(), pytest.fail):
+        assert {path.name for path in empty.folder.iterdir() if path.is_dir()} == {"runs", "failures", *TABLES}
+    assert not empty.has_table("groups")
+
+
+def test_results_that_cannot_be_published_leave_no_link(store):
+    """Something is in their place; the error is told, and another attempt can be made."""
+    with store.opened(RUNS | {"rc"}, pytest.fail):
+        (store.run_folder("rc") / "inside").mkdir(parents=True)
+        with pytest.raises(OSError, match="not empty"):
+            store.finish("rc", finished_run(store.attempt_folder("rc", 0)))
+        assert not list(store.folder.glob("*/run=rc"))
+
+
+def test_a_sweep_removes_what_is_unfinished_and_nothing_else(store):
+    (store.folder / ".scratch.1-abc.part").mkdir()
+    store.attempt_folder("rc", 0).mkdir()
+    store.attempt_folder("rd", 0).touch()  # no folder: it is left
+    store.sweep()
+    assert not (store.folder / ".scratch.1-abc.part").exists()
+    assert not store.attempt_folder("rc", 0).exists()
+    assert store.finished() == RUNS
+
+
+def test_a_folder_without_a_manifest_or_runs_is_no_batch(store):
+    for folder in (store.folder / "nowhere", store.folder):
+        with pytest.raises(InputError, match="not the folder of a batch; `cosim batch FILE` writes one"):
+            BatchStore(folder).manifest()
+    store.write_manifest({"runs": []})
+    assert store.manifest() == {"runs": []}
+    store.write_manifest({"file": "a.yaml"})
+    with pytest.raises(DamagedError, match=r"missing required field `runs`; run `cosim batch` again"):
+        store.manifest()
+    store.write_manifest({"runs": []})
+    (store.folder / "runs").rename(store.folder / "elsewhere")
+    with pytest.raises(InputError, match="not the folder of a batch"):
+        store.manifest()
+
+
+def test_a_record_of_a_failure_without_its_fields_counts_as_none(store):
+    store.fail("rc", {"run": "rc"})
+    store.fail("rd", {"run": "rd", "labels": {}, "attempts": [{"kind": "died", "message": "killed"}]})
+    assert set(store.failures()) == {"rd"}
 
 
 def test_a_damaged_record_of_a_failure_counts_as_none(store):

@@ -161,6 +161,23 @@ def test_a_jerk_of_3_is_within_3():
     assert row["jerk_within_3"] == pytest.approx(1 - 1 / 20), "3.5 m/s³ once, however it is signed"
 
 
+def test_the_jerk_and_the_braking_of_every_driven_vehicle_count():
+    """Vehicle 1 accelerates by 0.75 m/s² within 0.25 s, which is 3 m/s³ and within 3; by 0.875 it is not."""
+    time = 100.0 + 0.25 * np.arange(21)
+    for step, share in ((0.75, 1.0), (0.875, 1 - 1 / 16)):  # 8 steps of 2 vehicles from 101 to 103 s
+        state = np.zeros((21, 3, len(COLUMNS)))
+        state[5:, 1, COLUMNS.index("a")] = -step
+        state[14:, 1, COLUMNS.index("a")] = -9.0
+        [row] = groups_table([replace(episode(), time=time, state=state)], CHAIN).to_dict("records")
+        assert row["jerk_within_3"] == share
+        assert (row["min_acceleration"], row["min_acceleration_after"]) == (-step, -9.0)
+
+
+def test_every_episode_needs_its_counterpart():
+    with pytest.raises(ValueError, match="longer"):
+        groups_table([episode()], CHAIN, [episode("sumo")] * 2)
+
+
 def long_watched(**changes) -> Episode:
     """Driven from 101 to 103 s, and watched until 115 s."""
     time = np.round(np.arange(0, 15.01, 0.2), 10) + 100.0

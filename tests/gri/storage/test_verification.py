@@ -107,6 +107,10 @@ def test_set_aside_takes_a_free_name(tmp_path):
     for name in ("run.damaged", "run.damaged-2", "run.damaged-3"):
         (tmp_path / "run").mkdir()
         assert set_aside(tmp_path / "run").name == name
+    for k in range(4, 80):
+        (tmp_path / f"run.damaged-{k}").touch()
+    (tmp_path / "run").mkdir()
+    assert set_aside(tmp_path / "run").name == "run.damaged-80"
 
 
 def test_a_hash_is_computed_again_only_when_the_file_has_changed(tmp_path, monkeypatch):

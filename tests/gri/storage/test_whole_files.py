@@ -87,6 +87,17 @@ def test_a_file_that_cannot_be_flushed_does_not_appear_but_folders_need_not_be(t
     assert (tmp_path / "run/table").read_text() == "rows"
 
 
+def test_what_cannot_be_removed_is_left(tmp_path, monkeypatch):
+    def busy(*_, **__):
+        raise OSError(16, "Device or resource busy")
+
+    (tmp_path / ".run.1-abc.part").mkdir()
+    with monkeypatch.context() as broken:
+        broken.setattr(os, "rmdir", busy)
+        sweep(tmp_path)
+    assert os.listdir(tmp_path) == [".run.1-abc.part"]
+
+
 def test_only_unfinished_files_are_swept(tmp_path):
     kept = ["run", "x.part", ".hidden", part_beside(tmp_path / "other").name]
     for name in (*kept, part_beside(tmp_path / "run").name):
