@@ -143,10 +143,10 @@ def test_groups_are_numbered_and_compared_with_their_counterparts():
 
 
 def test_means_are_those_of_the_vehicles_behind_the_leader_during_the_drive():
-    """Both drive 10 m/s, and 12 m/s for one of the eleven instants; the leader's 30 m/s do not count."""
+    """Both drive 10 m/s, and vehicle 1 14 m/s for one of the eleven instants; the leader's 30 m/s do not count."""
     state = episode().state.copy()
     state[:, 2, COLUMNS.index("v")] = 30.0
-    state[10, :2, COLUMNS.index("v")] = 12.0
+    state[10, 1, COLUMNS.index("v")] = 14.0
     state[0, :2, COLUMNS.index("v")] = 99.0  # before the take-over
     state[:, 2, COLUMNS.index("a")] = -7.0
     [row] = groups_table([replace(episode(), state=state)], CHAIN).to_dict("records")
@@ -238,6 +238,24 @@ def test_graphs_have_a_row_per_inference_and_pair():
     assert rows["probability"].tolist() == pytest.approx([0.8, 0.6, 1.0])
     assert rows["unknown"].tolist()[:2] == [0.5, 2.0]
     assert np.isnan(rows["unknown"].iloc[2])
+
+
+def test_reactions_in_doubt_are_marked_and_are_not_what_was_inferred():
+    """At the second inference 1 → 0 is none with 60 %; in doubt, 0 reacts all the same."""
+    doubted = torch.zeros(2, 6, dtype=torch.bool)
+    doubted[1, pairs(3).index((1, 0))] = True
+    drive = replace(episode(), graph_time=np.array([101.0, 102.0]))
+    table = graphs_table(
+        [replace(drive, graph=uncertain()), replace(drive, graph=replace(uncertain(), in_doubt=doubted))]
+    )
+    rows = table[(table["sender"] == 1) & (table["receiver"] == 0)]
+    assert rows["in_doubt"].tolist() == [False, False, False, True]
+    assert rows["type"].tolist() == ["follow", "none", "follow", "follow"]
+    assert rows["probability"].tolist() == pytest.approx([0.8, 0.6, 0.8, 0.4])
+    assert table["in_doubt"].sum() == 1
+    graphs = (None, uncertain(), replace(uncertain(), in_doubt=doubted))
+    table = groups_table([replace(drive, graph=graph) for graph in graphs], CHAIN)
+    assert table["reacts_in_doubt"].tolist() == [False, False, True]
 
 
 def test_the_first_inference_stands_in_the_table_of_groups():

@@ -181,9 +181,11 @@ def test_the_curvature_of_a_bend_is_that_of_the_lane():
     assert BEND.curvature_at(middle[:1], np.array([49.0]))[0] == pytest.approx(10 * on_line, rel=1e-3), "not endless"
     half = BEND.curvature_at(np.array([0.0, BEND.end]), np.zeros(2))  # only 10 m of the 20 are in the bend
     np.testing.assert_allclose(half, 0.5 * on_line, rtol=0.03)
-    back = RoadFrame(BEND.points * -1, normals=BEND.normals * -1)  # headings from π on, which are those from −π on
+    cos, sin = np.cos(np.pi - 0.5), np.sin(np.pi - 0.5)
+    turned = np.array([[cos, sin], [-sin, cos]])  # headings from π − 0.5 to π + 0.5, which is −π + 0.5
+    back = RoadFrame(BEND.points @ turned, normals=-OUTWARD @ turned)
+    assert back.heading_at(np.array([0.0, BEND.end])) == pytest.approx([np.pi - 0.5, 0.5 - np.pi])
     np.testing.assert_allclose(back.curvature_at(middle, np.zeros(3)), on_line, rtol=1e-3)
-    np.testing.assert_allclose(back.curvature_at(np.zeros(1), np.zeros(1)), half[:1])
     u_turn = RoadFrame(np.array([[0.0, 0.0], [50.0, 0.0], [50.0, 5.0], [0.0, 5.0]]))
     assert u_turn.curvature_at(np.array([52.5]), np.zeros(1))[0] > 0, "a turn of nearly 180° keeps its side"
 
@@ -198,6 +200,9 @@ def test_lanes_beside_the_line_are_shorter_on_the_inside():
     np.testing.assert_allclose(inner.driven(s), 0.8 * on_line + [-30, 0, 0, 0, 30], atol=1e-9)
     np.testing.assert_allclose(outer.driven(s), 1.2 * on_line + [-30, 0, 0, 0, 30], atol=1e-9)
     np.testing.assert_allclose(inner.s_at(inner.driven(s)), s, atol=1e-9)
+    late = RoadFrame(BEND.points, 5 * PIECE, BEND.normals).line_at(10.0)  # s = 0 is in the bend
+    assert late is not None
+    np.testing.assert_allclose(late.driven(s - 5 * PIECE), inner.driven(s) - 4 * PIECE, atol=1e-9)
     middle = np.full(3, 5.5 * PIECE)
     stretch = BEND.stretch_at(middle, np.array([0.0, 10.0, -10.0]))
     np.testing.assert_allclose(stretch, [1.0, 0.8, 1.2])
