@@ -129,6 +129,10 @@ def picture(sweeps: dict[str, list[Cost]], out: Path) -> None:
         axes.set(
             xlabel=f"{what}, {'10 groups' if what == 'vehicles' else 'among 3,000 vehicles'}", ylabel="CPU ms per step"
         )
+        for axis in (axes.xaxis, axes.yaxis):
+            axis.set_major_formatter("{x:,g}")
+            axis.set_minor_formatter("")
+        axes.set_yticks([1, 2, 5, 10, 20, 50])
         axes.grid(alpha=0.3)
         axes.legend(fontsize=8)
     figure.savefig(out / "growth.svg", metadata={"Date": None})
