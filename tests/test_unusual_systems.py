@@ -52,17 +52,18 @@ class System:
     """Whether the command may end with one line that says so. It does not have to."""
 
 
+NOBODY = {"HOME": None, "USER": None, "LOGNAME": None}
 SYSTEMS = {
-    "C, spaces, umlauts": System("Straße mit Löchern", {"LC_ALL": "C", "LANG": None}),
+    "C, umlauts, no HOME": System("Straße mit Löchern", {"LC_ALL": "C", "LANG": None, **NOBODY}),
     "no UTF-8": System("Straße mit Löchern", {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}),
-    "Turkish": System("%20 & 'so'", {"LC_ALL": "tr_TR.UTF-8", "LOCPATH": "FOLDER/locales"}),
-    "no HOME": System(environment={"HOME": None, "USER": None, "LOGNAME": None, "LC_ALL": "xx_XX.UTF-8"}),
-    "read-only TMPDIR": System(environment={"TMPDIR": "/proc"}),
+    "Turkish, read-only TMPDIR": System(
+        "%20 & 'so'", {"LC_ALL": "tr_TR.UTF-8", "LOCPATH": "FOLDER/locales", "TMPDIR": "/proc"}
+    ),
+    "unknown locale, 64 descriptors": System(environment={"LC_ALL": "xx_XX.UTF-8"}, limits="-n 64"),
     "full TMPDIR": System(
         started_by=("unshare", "-rm", "sh", "-c", 'mount -t tmpfs -o size=4k full "$TMPDIR" && exec "$@"', "sh"),
         may_refuse=True,
     ),
-    "64 descriptors": System(limits="-n 64"),
     "1.2 GB": System(limits="-v 1200000", may_refuse=True),
     "0.4 GB": System(limits="-v 400000", may_refuse=True),
     "a clock that jumps": System(environment={"PYTHONPATH": f"FOLDER/clock{os.pathsep}{ROOT}"}),
