@@ -16,7 +16,7 @@ import msgspec
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from cosim.batch.spec import Kept, Shards
+from cosim.batch.spec import Kept, MoreTables, Shards
 from cosim.runs.finished_run import read_manifest
 from gri.errors import InputError, guarded_reading
 from gri.storage.verification import DamagedError, check_digest, digest, read_sealed, set_aside, write_sealed
@@ -25,6 +25,7 @@ from gri.storage.whole_files import remove, sweep, whole_file
 FOLDER = "shards"
 FIX = "run `cosim batch` again, which repairs it"
 ALWAYS_KEPT: dict[str, Kept] = {"groups": "all", "counterparts": "all", "traffic": "all"}  # for results and reports
+NAME = "s" + 11 * "[0-9a-f]"  # pattern of the names of shards
 ROWS = 200_000  # of a row group at least, so that packing needs little memory
 
 
@@ -81,11 +82,11 @@ def open_shards(batch: Path, warn: Callable[[str], None]) -> None:
             sound.pop(path.stem, None)
             aside = _set_shard_aside(batch, path.stem)
             warn(f"{str(error).partition(';')[0]}; its runs are done again, its files are in {aside}")
-    for file in batch.glob("*/s*.parquet"):
-        if file.stem not in sound:
-            remove(file)
-    for table in {file.parent for file in batch.glob("*/.s*.part")}:
-        sweep(table)
+    for table in (*ALWAYS_KEPT, *MoreTables.__struct_fields__):
+        sweep(batch / table)
+        for file in (batch / table).glob(f"{NAME}.parquet"):
+            if file.stem not in sound:
+                remove(file)
     for shard in sound.values():
         for run in shard.runs:
             remove(batch / "runs" / run.run)

@@ -183,14 +183,24 @@ def test_what_a_killed_command_left_is_cleared(five):
     """It was killed before a shard counted, or while folders of its runs were being removed."""
     five.go()
     before = five.files()
-    (five.store.folder / "groups/s0123.parquet").write_bytes(b"of a shard that was not finished")
-    (five.store.folder / "groups/.s0123.parquet.12-ab.part").write_bytes(b"of one that was being written")
+    (five.store.folder / "groups/s0123456789a.parquet").write_bytes(b"of a shard that was not finished")
+    (five.store.folder / "groups/.s0123456789a.parquet.12-ab.part").write_bytes(b"of one that was being written")
     half = five.store.run_folder(five.ids[0])
     half.mkdir()
     (half / "steps.parquet").write_bytes(b"")
     assert five.go().done == 5
     assert five.done == []
     assert five.files() == before
+
+
+def test_files_that_are_no_shards_are_left_alone(five):
+    five.go()
+    mine = [five.store.folder / name for name in ("groups/summary.parquet", "mine/s0123456789a.parquet")]
+    mine[1].parent.mkdir()
+    for path in mine:
+        path.write_bytes(b"mine")
+    five.go()
+    assert all(path.read_bytes() == b"mine" for path in mine)
 
 
 def test_a_full_disk_leaves_runs_in_their_folders_and_the_next_command_packs_them(five, monkeypatch):
