@@ -181,7 +181,12 @@ def _set_shard_aside(batch: Path, name: str) -> Path:
 
 
 def _write(path: Path, parts: Mapping[str, Path], columns: Kept) -> None:
-    """Write the rows of the runs one after the other, with the columns that any of them has."""
+    """Write the rows of the runs one after the other, with the columns that any of them has.
+
+    Tables without rows have no say in this, as their columns have no types.
+    """
+    filled = {run: part for run, part in parts.items() if pq.read_metadata(part).num_rows}
+    parts = filled or dict(list(parts.items())[:1])
     schemas = (table_of_run(part, run, columns, rows=False).schema for run, part in parts.items())
     schema = pa.unify_schemas(list(dict.fromkeys(schemas)), promote_options="permissive")
     with whole_file(path) as target, pq.ParquetWriter(target, schema, compression="zstd") as writer:

@@ -9,7 +9,7 @@
     manifest.json                  file, versions, machine, and every run with its key, labels, state and hashes
 
 Runs that a changed batch file no longer has stay in `runs/`, so that they need not be repeated when the file is changed
-back. The tables hold only the runs of the current file.
+back. The linked tables hold only the runs of the current file; shards keep all of theirs.
 """
 
 import json
@@ -211,9 +211,10 @@ class BatchStore:
         if not is_sharded(self.folder):
             return self._linked_table(name, runs)
         while True:
+            folders = self._in_folders()  # before the shards: what is packed in between is in both, never in neither
             shards = read_shards(self.folder)
             try:
-                return self._sharded_table(name, runs, shards)
+                return self._sharded_table(name, runs, shards, folders)
             except InputError:
                 if read_shards(self.folder).keys() == shards.keys():
                     raise  # otherwise the batch packed runs meanwhile, so that their folders went away
@@ -226,9 +227,11 @@ class BatchStore:
         with guarded_reading(self.folder / name, "table of a batch", FIX):
             return pd.read_parquet(parts)  # pyright: ignore[reportArgumentType]  # it reads lists as well
 
-    def _sharded_table(self, name: str, runs: Sequence[str], shards: Mapping[str, Shard]) -> pd.DataFrame:
-        packed = {run.run for shard in shards.values() for run in shard.runs}
-        loose = [run for run in runs if run in self._in_folders() - packed]
+    def _sharded_table(
+        self, name: str, runs: Sequence[str], shards: Mapping[str, Shard], folders: set[str]
+    ) -> pd.DataFrame:
+        not_packed = folders - {run.run for shard in shards.values() for run in shard.runs}
+        loose = [run for run in runs if run in not_packed]
         parts = list(read_packed(self.folder, name, shards, runs))
         for run in loose:
             results, file = read_manifest(self.run_folder(run))["results"], f"{name}.parquet"
@@ -238,6 +241,7 @@ class BatchStore:
             raise InputError(
                 f"{self.folder / name}: no run has finished that wrote this table; run `cosim batch` again"
             )
+        parts = [part for part in parts if len(part)] or parts[:1]  # columns of empty tables have no types
         with guarded_reading(self.folder / name, "table of a batch", FIX):
             rows = pa.concat_tables(parts, promote_options="permissive").to_pandas()
         return rows.sort_values("run", key=lambda ids: ids.map({run: k for k, run in enumerate(runs)}), kind="stable")

@@ -64,7 +64,9 @@ def batch(
     from cosim.process.worker_process import WorkerDeath, run_in_worker
 
     folder = out or Path("runs", "batch", path.stem)
-    ended = BatchStore(folder).finished() | set(BatchStore(folder).failures())
+    ended = set(BatchStore(folder).failures())
+    with suppress(InputError):  # of a damaged shard, whose runs are done again
+        ended |= BatchStore(folder).finished()
     if waiting := [run for run in runs if run.id not in ended]:
         # Whatever kills the check would kill the runs as well, which is what their retries and records are for.
         with suppress(WorkerDeath):  # what it prints is kept nowhere, so a killed command leaves nothing

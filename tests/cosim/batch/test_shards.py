@@ -6,12 +6,15 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+import typer
 from pandas.testing import assert_frame_equal
 
+from cosim.batch import shards
 from cosim.batch.execute import Tally, execute
 from cosim.batch.run_matrix import expand, load_batch
 from cosim.batch.shards import read_shards
 from cosim.batch.store import BatchStore
+from cosim.commands.batch import batch
 from cosim.process.task import Task, TaskResult
 from gri.errors import InputError
 from tests.cosim.runs.finished import finished_run, flip
@@ -75,8 +78,8 @@ def five(tmp_path: Path) -> Sharded:
 
 def test_five_runs_are_three_shards_and_no_folder(five):
     assert five.go().done == 5
-    shards = read_shards(five.store.folder)
-    assert sorted(len(shard.runs) for shard in shards.values()) == [1, 2, 2]
+    found = read_shards(five.store.folder)
+    assert sorted(len(shard.runs) for shard in found.values()) == [1, 2, 2]
     assert os.listdir(five.store.folder / "runs") == []
     assert {len(list((five.store.folder / name).iterdir())) for name in ("groups", "counterparts", "events")} == {3}
     assert not (five.store.folder / "graphs").exists() or not list((five.store.folder / "graphs").iterdir())
@@ -156,6 +159,34 @@ def test_a_reader_sees_runs_that_are_packed_meanwhile(five, monkeypatch):
     assert five.store.table("groups", five.ids)["run"].tolist() == five.ids
 
 
+def test_a_reader_misses_no_run_that_is_packed_between_its_two_looks(five, monkeypatch):
+    with pytest.raises(KeyboardInterrupt):
+        five.go(stop_after=3)
+
+    def packed_afterwards(folder):
+        monkeypatch.setattr("cosim.batch.store.read_shards", read_shards)
+        found = read_shards(folder)
+        five.go()
+        return found
+
+    monkeypatch.setattr("cosim.batch.store.read_shards", packed_afterwards)
+    assert set(five.ids[:3]) <= set(five.store.table("groups", five.ids)["run"])
+
+
+def test_runs_with_an_empty_table_share_a_shard_with_others(five):
+    """Runs of a policy without a graph have a table `graphs` without rows, whose columns have no types."""
+    for k, run in enumerate(five.ids[:2]):
+        graphs = pd.DataFrame({"time": pd.Series([1.0, 2.0][: 2 * k], dtype=float if k else object)})
+        folder = five.store.run_folder(run)
+        folder.mkdir(parents=True)
+        graphs.to_parquet(folder / "graphs.parquet", index=False)
+    parts = {run: five.store.run_folder(run) / "graphs.parquet" for run in five.ids[:2]}
+    shards._write(five.store.folder / "graphs.parquet", parts, "all")
+    assert pd.read_parquet(five.store.folder / "graphs.parquet")["time"].tolist() == [1.0, 2.0]
+    shards._write(five.store.folder / "none.parquet", {five.ids[0]: parts[five.ids[0]]}, "all")
+    assert pd.read_parquet(five.store.folder / "none.parquet").empty
+
+
 def test_a_run_that_failed_is_in_a_shard_of_its_own_once_it_finishes(five):
     assert five.go(fails=(1,)).failed == 1
     assert sorted(len(shard.runs) for shard in read_shards(five.store.folder).values()) == [1, 1, 2]
@@ -177,6 +208,18 @@ def test_a_damaged_shard_is_never_read_and_its_runs_are_done_again(five, what):
     assert len(five.said) == 1
     assert five.said[0].endswith(f"its runs are done again, its files are in {five.store.folder / 'damaged' / name}")
     assert {name: content for name, content in five.files().items() if "damaged" not in name} == before
+
+
+def test_the_command_itself_gets_past_a_damaged_shard(five, monkeypatch):
+    five.go()
+    index = next((five.store.folder / "shards").glob("*.json"))
+    index.write_bytes(index.read_bytes()[:200])
+    checked = []
+    monkeypatch.setattr("cosim.process.worker_process.run_in_worker", lambda _, runs, **__: checked.extend(runs))
+    monkeypatch.setattr("cosim.batch.execute.execute", lambda *_, **__: Tally(5, 5, 0))
+    with pytest.raises(typer.Exit):  # with code 3, as the runs have one start of thirty
+        batch(str(five.file), out=five.store.folder)
+    assert len(checked) == 5
 
 
 def test_what_a_killed_command_left_is_cleared(five):
