@@ -230,7 +230,7 @@ def _changes(edges: Sequence[InferredEdge], takeover_time: float) -> list[str]:
         if latest.get(pair, edge.type) != edge.type:
             lines.append(
                 f"{edge.time - takeover_time:.1f} s after the take-over, {edge.sender} → {edge.receiver} changes from"
-                f" {latest[pair]} to {edge.type} (p {edge.probability:.2f})."
+                f" {latest[pair]} to {edge.type} (p {edge.probability:.2f}{', in doubt' if edge.in_doubt else ''})."
             )
         latest[pair] = edge.type
     return lines

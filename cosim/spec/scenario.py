@@ -146,9 +146,9 @@ class Inferred(Spec, frozen=True, kw_only=True, tag_field="source", tag="inferre
     the policy wants; `own_motion: true` takes it for evidence all the same. `when_unknown` applies to later inferences
     from scenes that the model does not know: `use` the graph all the same, or `keep` the last one.
 
-    A driven vehicle that would react to nobody follows (or yields to) whom it does most probably, if that has a
-    probability of 5 % or more, or if the model does not know the scene; `in_doubt: ignore` takes the most probable
-    relations as they are.
+    A vehicle of a driven group that would react to nobody follows (or yields to) whom it does most probably, if that
+    has a probability of 5 % or more, or of 0.1 % where the model does not know the scene; `in_doubt: ignore` takes the
+    most probable relations as they are. Shares of the traffic do that always.
     """
 
     smoothing: bool = True

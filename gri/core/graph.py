@@ -127,7 +127,7 @@ class InteractionGraph:
         """The graph in which none of these receivers reacts to nobody without being sure of it.
 
         Whoever would react to nobody (no edge that holds it back, such as follow) gets its most probable reaction, if
-        that has the probability `least`, or if the model does not know the scene.
+        that has the probability `least`, or a fiftieth of it in a scene that the model does not know.
         """
         probability = self._reaction[1]
         holds_back = torch.tensor([kind in HOLDS_BACK for kind in self.vocabulary])
@@ -139,7 +139,7 @@ class InteractionGraph:
                 continue
             best = probability[:, into].max(-1)
             free = ~holds_back[self.map[:, into]].any(-1)
-            reacts = free & ((best.values >= least) | unknown)
+            reacts = free & (best.values >= torch.where(unknown, least / 50, least))
             doubted[torch.arange(len(self)), into[best.indices]] |= reacts
         return replace(self, in_doubt=doubted if doubted.any() else None)
 
