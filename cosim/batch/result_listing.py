@@ -187,6 +187,8 @@ def correction_note(tests: Iterable[PairedTest]) -> str:
 def runs_table(store: BatchStore, where: Sequence[str]) -> Table:
     """Every run of the batch with its labels, its state, and its starts where it found fewer than asked for."""
     listed = pd.DataFrame(store.manifest()["runs"])
+    if missing := [name for name in ("run", *CELL, "state") if name not in listed]:
+        raise InputError(f"{store.folder}/manifest.json: its runs have no {missing[0]}; run `cosim batch` again")
     for condition in where:
         listed = filtered(listed, condition)
     if "starts" in listed:

@@ -186,7 +186,7 @@ class BatchStore:
     def manifest(self) -> dict[str, Any]:
         """The manifest. Raises `InputError` if the folder is not that of a batch."""
         path = self.folder / "manifest.json"
-        if not path.is_file() or not (self.folder / "runs").is_dir():
+        if not path.is_file() or not ((self.folder / "runs").is_dir() or is_sharded(self.folder)):
             raise InputError(f"{self.folder}: not the folder of a batch; `cosim batch FILE` writes one")
         content = read_sealed(path, FIX)
         try:
@@ -244,6 +244,8 @@ class BatchStore:
         parts = [part for part in parts if len(part)] or parts[:1]  # columns of empty tables have no types
         with guarded_reading(self.folder / name, "table of a batch", FIX):
             rows = pa.concat_tables(parts, promote_options="permissive").to_pandas()
+        if "run" not in rows:
+            raise DamagedError(f"{self.folder / name}: column run is missing; {FIX}")
         return rows.sort_values("run", key=lambda ids: ids.map({run: k for k, run in enumerate(runs)}), kind="stable")
 
     def _link_tables(self, runs: set[str]) -> None:

@@ -17,6 +17,7 @@ POLICIES = {
     "gri": "GRI",
     "supervised": "given the graph",
     "nri": "NRI",
+    "ngsim_car_following_nri": "NRI, taught recordings",
     "idm": "IDM",
     "sumo": "SUMO",
     "constant_velocity": "constant velocity",
