@@ -123,7 +123,7 @@ def _graph_to_use(
         known = smoothed(graph, last, source, elapsed, window, this_round.driven_roles)
         known = keep_where_unknown(known, last, source)
     known = graph_from_source(known, source, this_round.rule, this_round.has_third_vehicle)
-    known = reacting_in_doubt(known, last, source, this_round.driven_roles)
+    known = reacting_in_doubt(known, source, this_round.driven_roles)
     return with_edges(known, dict.fromkeys(without, EdgeType.NONE), this_round.size)
 
 

@@ -42,19 +42,14 @@ def with_edges(graph: InteractionGraph, prescribed: Mapping[tuple[int, int], Edg
     return replace(graph, logits=torch.where(which[:, None], certain.logits, graph.logits), in_doubt=doubted)
 
 
-def reacting_in_doubt(
-    graph: InteractionGraph, last: InteractionGraph | None, source: GraphSource, driven: Sequence[int]
-) -> InteractionGraph:
+def reacting_in_doubt(graph: InteractionGraph, source: GraphSource, driven: Sequence[int]) -> InteractionGraph:
     """The graph in which a driven vehicle reacts to nobody only if that is all but certain, if the source says so.
 
-    To react without need costs little; to drive into a vehicle that was taken for none costs much. A vehicle that
-    keeps its relations of the `last` graph (see `smoothed`) keeps what it does in doubt as well: a scene that the model
-    does not know now says nothing about them.
+    To react without need costs little; to drive into a vehicle that was taken for none costs much. Also a vehicle that
+    keeps its relations (see `smoothed`) becomes more careful in a scene that the model does not know.
     """
     if not isinstance(source, Inferred) or source.in_doubt == "ignore":
         return graph
-    if last is not None and source.smoothing and not source.own_motion:
-        return replace(graph, in_doubt=last.on(tuple(graph.pairs)).in_doubt)
     return graph.reacting_in_doubt(driven, LEAST_DOUBT)
 
 

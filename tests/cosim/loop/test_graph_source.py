@@ -120,25 +120,21 @@ def test_a_sparse_graph_gets_the_pairs_that_are_enforced():
 
 def test_in_doubt_only_driven_vehicles_react_and_only_where_the_graph_is_inferred():
     graph = InteractionGraph(torch.tensor([[[0.1, 0.0]] * 6]), FOLLOWING)
-    assert reacting_in_doubt(graph, None, Inferred(in_doubt="ignore"), [0, 1]) is graph
-    assert reacting_in_doubt(graph, None, GroundTruth(), [0, 1]) is graph
-    assert {receiver for _, receiver in reacting_in_doubt(graph, None, Inferred(), [0]).edges()} == {0}
+    assert reacting_in_doubt(graph, Inferred(in_doubt="ignore"), [0, 1]) is graph
+    assert reacting_in_doubt(graph, GroundTruth(), [0, 1]) is graph
+    assert {receiver for _, receiver in reacting_in_doubt(graph, Inferred(), [0]).edges()} == {0}
 
 
-def test_relations_that_are_kept_stay_in_the_doubt_in_which_they_were():
-    """The scene of the take-over was known, and nobody was certain; a later scene is not known."""
-    sure = InteractionGraph(torch.tensor([[[7.0, 0.0]] * 6]), FOLLOWING, torch.tensor([0.5]))
-    first = reacting_in_doubt(sure, None, Inferred(), [0])
-    later = smoothed(replace(sure, unknown=torch.tensor([3.0])), first, Inferred(), 1.0, 5.0, [0, 1])
-    assert not reacting_in_doubt(later, first, Inferred(), [0, 1]).edges()
-    unsure = reacting_in_doubt(replace(sure, logits=sure.logits / 7), None, Inferred(), [0])
-    kept = reacting_in_doubt(smoothed(sure, unsure, Inferred(), 1.0, 5.0, [0, 1]), unsure, Inferred(), [0, 1])
-    assert kept.edges() == unsure.edges() != {}
-    alone = Inferred(smoothing=False)
-    assert reacting_in_doubt(later, first, alone, [0]).in_doubt is None  # 0.09 %, below 0.1 %
+def test_a_scene_that_is_not_known_makes_kept_relations_more_careful_but_not_those_that_are_sure():
+    """P(follow) of the take-over is 1 % or 0.01 %; a later scene is not known."""
+    for odds, careful in ((99.0, True), (9999.0, False)):
+        first = InteractionGraph(torch.tensor([[[math.log(odds), 0.0]] * 6]), FOLLOWING, torch.tensor([0.5]))
+        assert not reacting_in_doubt(first, Inferred(), [0, 1]).edges()
+        later = smoothed(replace(first, unknown=torch.tensor([3.0])), first, Inferred(), 1.0, 5.0, [0, 1])
+        assert bool(reacting_in_doubt(later, Inferred(), [0, 1]).edges()) is careful
 
 
 def test_what_is_prescribed_is_in_no_doubt():
-    graph = reacting_in_doubt(InteractionGraph(torch.tensor([[[0.1, 0.0]] * 6]), FOLLOWING), None, Inferred(), [0])
+    graph = reacting_in_doubt(InteractionGraph(torch.tensor([[[0.1, 0.0]] * 6]), FOLLOWING), Inferred(), [0])
     ((pair, _),) = graph.edges().items()
     assert not with_edges(graph, {pair: EdgeType.NONE}, 3).edges()
