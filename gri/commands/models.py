@@ -1,6 +1,7 @@
 """The commands about models: make scenes, train, evaluate."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -17,6 +18,7 @@ if TYPE_CHECKING:
     from gri.data.store import Splits
     from gri.evaluation.evaluate import Evaluation
     from gri.training.train import TrainConfig
+    from gri.training.training_state import TrainingState
 
 ConfigArgument = Annotated[
     str, typer.Argument(metavar="CONFIG", help="A YAML file, or the name of one in scenarios/train.")
@@ -92,24 +94,32 @@ def train(
     with claimed_place(path):
         splits = _scenes(chosen, scenes) if ngsim is None else _recorded(chosen, ngsim, scenes)
         state = TrainingState(path.with_suffix(".state"), identity(chosen, seed, splits.train))
-        if state.at:
-            say(f"going on after {state.at}")
-        elif track:
+        if track and not state.at:
             remove_tracks(path)
-        try:
-            with (
-                ProgressDisplay() as shown,
-                tracked(shown, [kind.value for kind in track or ()], path) as progress,
-                state.stoppable(),
-            ):
-                trained = train_model(chosen, splits, seed, progress, state)
-        except KeyboardInterrupt:
-            notice(f"stopped; run the same command again to go on (kept in {state.path})")
-            raise typer.Exit(130) from None
+        with (
+            resumable(state),
+            ProgressDisplay() as shown,
+            tracked(shown, [kind.value for kind in track or ()], path) as progress,
+        ):
+            trained = train_model(chosen, splits, seed, progress, state)
         checkpoint.save(path, trained.model, trained.reward, trained.provenance)
         state.finish()
     say(f"trained in {trained.provenance['seconds']} s, wrote {path}")
     next_command(f"gri evaluate {path}")
+
+
+@contextmanager
+def resumable(state: "TrainingState") -> Iterator["TrainingState"]:
+    """Say where a training goes on, and where it was stopped; a stop ends the command with code 130."""
+    if state.at:
+        say(f"going on after {state.at}")
+    try:
+        with state.stoppable():
+            yield state
+    except KeyboardInterrupt:
+        kept = state.path is not None and state.path.exists()
+        notice(f"stopped; run the same command again to {f'go on (kept in {state.path})' if kept else 'begin anew'}")
+        raise typer.Exit(130) from None
 
 
 def teach(
@@ -127,13 +137,15 @@ def teach(
 ) -> None:
     """Teach a car-following model's encoder who reacts to whom.
 
-    Reward and policy stay as they are (docs/training.md).
+    Reward and policy stay as they are (docs/training.md). Ctrl-C stops after the update
+    under way. The same command goes on from there, with the same result.
     """
     one_thread()
     from gri import checkpoint
     from gri.storage.claims import claimed_place
-    from gri.training.relations.teach_checkpoint import teach_model
+    from gri.training.relations.teach_checkpoint import teach_model, teaching_identity
     from gri.training.relations.teach_encoder import TeachingSettings
+    from gri.training.training_state import TrainingState
 
     path = resources.find_checkpoint(path)
     model, made = checkpoint.load(path), checkpoint.provenance(path)
@@ -149,9 +161,11 @@ def teach(
     else:
         raise InputError(f"{path}: got no recordings, wanted those that it learned from; give them with --recordings")
     with claimed_place(out):
-        with ProgressDisplay() as progress:
-            taught, how = teach_model(model, known, settings, seed, windows, progress=progress)
+        identity = teaching_identity(model, known, settings, seed, windows)
+        with resumable(TrainingState(out.with_suffix(".state"), identity)) as state, ProgressDisplay() as progress:
+            taught, how = teach_model(model, known, settings, seed, windows, progress, state)
         checkpoint.save(out, taught, checkpoint.load_reward(path), {**made, "teaching": how})
+        state.finish()
     say(f"taught in {how['cpu_seconds']} s of CPU, wrote {out}")
     next_command(f"gri evaluate {out}")
 

@@ -12,7 +12,7 @@ import hashlib
 import signal
 import threading
 import time
-from collections.abc import Iterator, Mapping, MutableMapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, MutableMapping, Sequence
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
@@ -215,12 +215,17 @@ def _digest(tensors: Mapping[str, Tensor], header: _Header) -> str:
 
 def identity(config: msgspec.Struct, seed: int, scenes: Scenes) -> str:
     """What makes a training the same one: configuration, seed, the scenes that it learns from, and the versions."""
+    return identity_of(config, seed, (scenes.observed, scenes.state, scenes.action))
+
+
+def identity_of(config: msgspec.Struct, seed: int, tensors: Iterable[Tensor]) -> str:
+    """The same of a training that learns from, or starts with, these tensors."""
     total = hashlib.sha256(
         msgspec.json.encode([msgspec.to_builtins(config), seed, version("gri-cosim")], order="sorted")
     )
     total.update(str(torch.__version__).encode())
-    for tensor in (scenes.observed, scenes.state, scenes.action):
-        total.update(f"{tuple(tensor.shape)}".encode() + tensor.numpy().tobytes())
+    for tensor in tensors:
+        total.update(f"{tuple(tensor.shape)}".encode() + tensor.detach().numpy().tobytes())
     return total.hexdigest()
 
 

@@ -21,6 +21,7 @@ from gri.networks.rollout import rollout
 from gri.progress import Progress, no_progress
 from gri.relations.reaction_scenes import OWN, UNSEEN, Reactions, draw_reactions
 from gri.training.relations.teach_encoder import TeachingSettings, broken_batch, teach_encoder, teach_policys_reactions
+from gri.training.training_state import TrainingState, identity_of
 
 NOVELTY_SCENES = 8000  # drawn scenes that the score of novelty is fitted to, besides a quarter of it from the policy
 
@@ -32,8 +33,11 @@ def teach_model(
     seed: int,
     recorded: Reactions | None = None,
     progress: Progress = no_progress,
+    state: TrainingState | None = None,
 ) -> tuple[RelationalModel, Mapping[str, Any]]:
     """The model with a taught encoder, and how it was taught, for the provenance.
+
+    With `state`, the teaching goes on where that one was stopped.
 
     Args:
         known: histories of the scenes that the model was trained on, of three vehicles.
@@ -51,17 +55,29 @@ def teach_model(
     taught = RelationalModel(config)
     taught.decoder.load_state_dict(model.decoder.state_dict())
     assert isinstance(taught.encoder, PairEncoder)
-    teach_encoder(taught.encoder, settings, seed, recorded, progress)
+    teach_encoder(taught.encoder, settings, seed, recorded, progress, state)
     driven = policy_rollouts(taught, known, torch.Generator().manual_seed(seed))
-    teach_policys_reactions(taught.encoder, driven, settings, seed + 1, recorded, progress)
+    teach_policys_reactions(taught.encoder, driven, settings, seed + 1, recorded, progress, state)
     fit_novelty(taught, known, settings, seed)
     made = {
         "settings": msgspec.to_builtins(settings),
         "seed": seed,
         "recorded_windows": 0 if recorded is None else len(recorded),
-        "cpu_seconds": round(time.process_time() - started),
+        "cpu_seconds": round(time.process_time() - started + (state.spent[1] if state else 0.0)),
     }
     return taught.requires_grad_(False).eval(), made
+
+
+def teaching_identity(
+    model: RelationalModel,
+    known: Float[Tensor, "S N T D"],
+    settings: TeachingSettings,
+    seed: int,
+    recorded: Reactions | None = None,
+) -> str:
+    """What makes a teaching the same one: all arguments of `teach_model` that its result depends on."""
+    windows = () if recorded is None else (recorded.x, recorded.v, recorded.leader)
+    return identity_of(settings, seed, (*model.state_dict().values(), known, *windows))
 
 
 ROLLOUTS = 12_000

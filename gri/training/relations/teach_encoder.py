@@ -19,6 +19,7 @@ from gri.networks.pair_encoder import NEVER, PairEncoder
 from gri.progress import Progress, no_progress
 from gri.relations.reaction_scenes import UNSEEN, ReactionPrior, Reactions, draw_reactions, joined, log_uniform
 from gri.training.optimisation import Descent
+from gri.training.training_state import TrainingState, no_state
 
 
 class TeachingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -52,16 +53,18 @@ def teach_encoder(
     seed: int,
     recorded: Reactions | None = None,
     progress: Progress = no_progress,
+    state: TrainingState | None = None,
 ) -> None:
     """Train the encoder in place.
 
     `recorded` are windows of recorded traffic in which each vehicle follows the next, and windows broken on purpose in
-    which no vehicle can react to another one (leader `UNSEEN`). Each update then has a batch of both kinds.
+    which no vehicle can react to another one (leader `UNSEEN`). Each update then has a batch of both kinds. With
+    `state`, the training goes on where that one was stopped; the scenes are drawn again, the same ones.
     """
     generator = torch.Generator().manual_seed(seed)
     pool = draw_pool(settings, encoder.dt, generator, progress)
     descent = Descent(encoder.parameters(), settings.rate, settings.updates, clip=1.0)
-    for update in range(settings.updates):
+    for update in (state or no_state()).updates("relations", settings.updates, generator, descent):
         loss = _loss(encoder, pool, recorded, settings, generator)
         descent.step(loss)
         progress("relations", update + 1, settings.updates, float(loss.detach()))
@@ -74,6 +77,7 @@ def teach_policys_reactions(
     seed: int,
     recorded: Reactions | None = None,
     progress: Progress = no_progress,
+    state: TrainingState | None = None,
 ) -> None:
     """Train the encoder further, in place, with roll-outs `driven` of the policy under drawn graphs besides.
 
@@ -82,12 +86,13 @@ def teach_policys_reactions(
     generator = torch.Generator().manual_seed(seed)
     pool = draw_pool(settings, encoder.dt, generator, progress)
     descent = Descent(encoder.parameters(), settings.policy_rate, settings.policy_updates, clip=1.0)
-    for update in range(settings.policy_updates):
+    total = settings.policy_updates
+    for update in (state or no_state()).updates("policy's reactions", total, generator, descent):
         loss = _loss(encoder, pool, recorded, settings, generator)
         rows = torch.randint(len(driven), (settings.batch,), generator=generator)
         loss = loss + explanation_loss(encoder, with_noise(driven[rows], settings, generator))
         descent.step(loss)
-        progress("policy's reactions", update + 1, settings.policy_updates, float(loss.detach()))
+        progress("policy's reactions", update + 1, total, float(loss.detach()))
 
 
 def _loss(

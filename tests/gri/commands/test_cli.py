@@ -12,6 +12,8 @@ from gri.commands.cli import app, main
 from gri.commands.reproduce import TARGETS
 from gri.errors import InputError
 from gri.paper.plan import TABLES
+from gri.relations.reaction_scenes import ReactionPrior
+from gri.training.relations.teach_encoder import TeachingSettings
 
 TINY = """\
 name: tiny
@@ -73,6 +75,42 @@ def test_a_training_that_is_stopped_goes_on_by_the_same_command(tmp_path: Path, 
     assert not out.with_suffix(".state").exists()
     rows = out.with_suffix(".csv").read_text().splitlines()
     assert [row.split(",")[1] for row in rows if row.startswith("encoder and policy")] == [*"123456"]
+
+
+class FewScenes(TeachingSettings, frozen=True):
+    """Defaults with which a teaching takes seconds."""
+
+    prior: ReactionPrior = ReactionPrior(settle=(0.0,))
+    scenes: int = 600
+    steps: int = 25
+    window: tuple[int, int] = (20, 25)
+    batch: int = 16
+    policy_updates: int = 2
+
+
+def test_a_teaching_that_is_stopped_goes_on_by_the_same_command(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.chdir(tmp_path)
+    Path("tiny.yaml").write_text(TINY)
+    run("train", "tiny.yaml")
+    monkeypatch.setattr("gri.training.relations.teach_encoder.TeachingSettings", FewScenes)
+    monkeypatch.setattr("gri.training.relations.teach_checkpoint.ROLLOUTS", 500)
+    monkeypatch.setattr("gri.training.relations.teach_checkpoint.NOVELTY_SCENES", 400)
+    command = ["teach", "runs/tiny-s0.safetensors", "--updates", "4", "--out"]
+    assert "taught in" in run(*command, "straight.safetensors")
+    monkeypatch.setattr("gri.commands.models.ProgressDisplay", StopsAtReport)
+    out, said = Path("taught.safetensors"), []
+    while not out.exists():
+        result = CliRunner().invoke(app, [*command, out.name], catch_exceptions=False)
+        said.append(result.output)
+        assert result.exit_code == (0 if out.exists() else 130), result.output
+        assert len(said) < 10
+    assert len(said) >= 3
+    assert all("run the same command again to go on (kept in taught.state)" in output for output in said[:-1])
+    assert all("going on after update" in output for output in said[1:])
+    straight, stopped = (load_file(path) for path in (Path("straight.safetensors"), out))
+    assert straight.keys() == stopped.keys()
+    assert all(torch.equal(straight[name], stopped[name]) for name in straight)
+    assert not out.with_suffix(".state").exists()
 
 
 @pytest.mark.parametrize(
