@@ -34,6 +34,28 @@ from cosim.world.outcome_columns import filter_columns, outcome_columns
 from cosim.world.safety import safety_measures, track_of_role
 from gri.core.edges import MOST_COMPLETE, EdgeType, pairs
 
+# Types of the columns of the tables that can be without rows, from which no type could be read.
+GRAPH_TYPES = {
+    "episode": "int32",
+    "driver": "str",
+    "time": "float64",
+    "sender": "int64",
+    "receiver": "int64",
+    "type": "str",
+    "probability": "float64",
+    "in_doubt": "bool",
+    "unknown": "float64",
+}
+EVENT_TYPES = {
+    "episode": "int32",
+    "driver": "str",
+    "counterpart": "bool",
+    "time": "float64",
+    "kind": "str",
+    "vehicles": "str",
+    "detail": "str",
+}
+
 
 def steps_table(episodes: Sequence[Episode], counterparts: Sequence[Episode] = ()) -> pd.DataFrame:
     """One row per episode, instant and vehicle; `gap` and `ttc` are towards the next vehicle of the group.
@@ -170,8 +192,7 @@ def graphs_table(episodes: Sequence[Episode]) -> pd.DataFrame:
         )
         for (i, j), k, p, in_doubt in zip(graph.pairs, types, probabilities, doubted, strict=True)
     ]
-    columns = ["episode", "driver", "time", "sender", "receiver", "type", "probability", "in_doubt", "unknown"]
-    return pd.DataFrame(rows, columns=columns)
+    return pd.DataFrame(rows, columns=list(GRAPH_TYPES)).astype(GRAPH_TYPES)
 
 
 def labelled(table: pd.DataFrame, labels: Mapping[str, Any]) -> pd.DataFrame:
@@ -195,8 +216,7 @@ def events_table(episodes: Sequence[Episode], counterparts: Sequence[Episode] = 
         for number, episode, counterpart in _numbered(episodes, counterparts)
         for event in episode.events
     ]
-    columns = ["episode", "driver", "counterpart", "time", "kind", "vehicles", "detail"]
-    return pd.DataFrame(rows, columns=columns)
+    return pd.DataFrame(rows, columns=list(EVENT_TYPES)).astype(EVENT_TYPES)
 
 
 def manifest(arguments: Mapping[str, Any], inputs: Mapping[str, Path], folder: Path) -> dict[str, Any]:

@@ -65,7 +65,7 @@ class Encoder(nn.Module):
         senders, receivers = edge_ends(n)
         nodes = self.embedding(self._channels(state))
         edges = self.edge_1(torch.cat([nodes[:, senders], nodes[:, receivers]], -1))
-        nodes = self.node(incidence(n) @ edges)
+        nodes = self.node(incidence(n).to(edges) @ edges)
         skipped = [edges] if self.config.skip else []
         return self.edge_2(torch.cat([nodes[:, senders], nodes[:, receivers], *skipped], -1))
 

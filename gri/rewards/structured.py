@@ -118,7 +118,7 @@ class StructuredReward(nn.Module):
         senders, receivers = edge_ends(vehicle_count(graph.shape[1]))
         sent = state[:, senders] if cooperative else state[:, senders].detach()
         edges = (self.of_edges(sent, state[:, receivers]) * graph[:, :, None]).sum(-1)  # Shape: (B, E, T)
-        return self.of_vehicles(state, action) + incidence(state.shape[1]) @ edges
+        return self.of_vehicles(state, action) + incidence(state.shape[1]).to(edges) @ edges
 
 
 class ShapedReward(nn.Module):
@@ -168,4 +168,4 @@ class ShapedReward(nn.Module):
         vehicle = self.potentials(state)[0]
         node = self.reward.of_vehicles(state[:, :, :-1], action) + vehicle[..., 1:] - vehicle[..., :-1]
         edges = (self.edges(state) * graph[:, :, None]).sum(-1)
-        return node + incidence(state.shape[1]) @ edges + self.bias
+        return node + incidence(state.shape[1]).to(edges) @ edges + self.bias

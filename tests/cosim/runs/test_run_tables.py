@@ -353,6 +353,26 @@ def test_columns_without_any_value_have_a_type(tables, tmp_path):
     assert pd.read_parquet(tmp_path / "groups.parquet")["edge_1_0"].isna().tolist() == [True]
 
 
+def test_tables_without_rows_have_the_types_of_those_with_rows(tables, tmp_path):
+    """A policy without a graph, and a drive in which nothing happened; else the tables of runs could not be joined."""
+    inferred = replace(episode(), graph=uncertain(), graph_time=np.array([101.0, 102.0]))
+    empty = {
+        "graphs": graphs_table([episode(edges=None)]),
+        "events": events_table([replace(episode(), events=())], [replace(episode("sumo"), events=())]),
+    }
+    filled = {"graphs": graphs_table([inferred]), "events": events_table([episode()])}
+    for name, changes in (("empty", empty), ("filled", filled)):
+        (tmp_path / name).mkdir()
+        write_tables(tmp_path / name, tables | changes)
+    for name in empty:
+        without, with_rows = (tmp_path / folder / f"{name}.parquet" for folder in ("empty", "filled"))
+        assert pq.read_metadata(without).num_rows == 0
+        assert pq.read_schema(without).remove_metadata() == pq.read_schema(with_rows).remove_metadata()
+    joined = pd.concat([graphs_table([inferred]), graphs_table([episode(edges=None)])])
+    assert joined["episode"].dtype == np.int32
+    assert joined["in_doubt"].dtype == bool
+
+
 def test_manifest_names_versions_and_hashes(tables, tmp_path):
     write_tables(tmp_path, tables)
     net = tmp_path / "a.net.xml"

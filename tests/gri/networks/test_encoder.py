@@ -37,6 +37,14 @@ def test_moving_the_scene_along_the_road_changes_nothing(encoder: Encoder, gener
     torch.testing.assert_close(encoder(moved), encoder(state), atol=1e-4, rtol=1e-4)
 
 
+def test_double_precision_gives_the_same_logits(encoder: Encoder, generator: torch.Generator):
+    state = trajectories(generator)
+    logits = encoder(state)
+    in_double = encoder.double()(state.double())
+    assert in_double.dtype == torch.float64
+    torch.testing.assert_close(in_double.float(), logits, atol=1e-4, rtol=1e-4)
+
+
 def test_accelerations_are_not_read_by_default(encoder: Encoder, generator: torch.Generator):
     state = trajectories(generator)
     other = state + torch.tensor([0.0, 0.0, 5.0])

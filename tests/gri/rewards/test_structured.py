@@ -81,6 +81,20 @@ def test_a_copy_in_double_precision_is_the_same_reward_with_fixed_weights(genera
     torch.testing.assert_close(
         copy.of_edges(state.double(), state.double() + 1).float(), reward.of_edges(state, state + 1)
     )
+    graph = torch.rand(2, 6, 2, generator=generator)
+    whole = copy(state.double(), action.double(), graph.double())
+    assert whole.dtype == torch.float64
+    torch.testing.assert_close(whole.float(), reward(state, action, graph))
+
+
+def test_shaping_works_in_double_precision_as_well(generator: torch.Generator):
+    shaped = ShapedReward(StructuredReward.with_weights(CONFIG, WEIGHTS), CAR_FOLLOWING_PAPER)
+    state, action = torch.randn(2, 3, 5, 3, generator=generator), torch.randn(2, 3, 4, 1, generator=generator)
+    graph = torch.rand(2, 6, 2, generator=generator)
+    wanted = shaped(state, action, graph)
+    found = shaped.double()(state.double(), action.double(), graph.double())
+    assert found.dtype == torch.float64
+    torch.testing.assert_close(found.float(), wanted)
 
 
 def known_potentials() -> ShapedReward:
