@@ -29,7 +29,7 @@ import torch
 
 from cosim.batch.result_listing import groups_of
 from cosim.batch.store import BatchStore
-from cosim.runs.run import open_run
+from cosim.runs.run_results import open_run
 from cosim.spec.loading import load_scenario
 from cosim.stress.stress_test import publish_again
 from gri import checkpoint

@@ -28,6 +28,7 @@ from cosim.spec.input_files import find_net
 from cosim.spec.loading import load_scenario
 from cosim.traffic.running_simulation import simulation
 from cosim.traffic.simulation_input import SumoFiles, prepare_simulation
+from cosim.traffic.warm_up import warm_up
 from gri.table import markdown_table
 
 LANES, HEADWAY = 6, 40.0  # [m] from front to front in a lane
@@ -97,8 +98,7 @@ def measure(vehicles: int, groups: int, policy: str) -> Cost:
         inputs = prepare_simulation(scenario, files, scenario.time_limit)
         inputs.write()
         with simulation(inputs) as running:
-            trunk = Trunk(running, inputs.scenario)
-            trunk.warm_up(lambda *_: None)
+            trunk = Trunk(running, inputs.scenario, warm_up(running.world, inputs.scenario, lambda *_: None))
             history = trunk.observe_history()
             this_round = trunk.find_groups(history, limit=groups)
             bare, driven, _ = compare(running, history, this_round, driver)

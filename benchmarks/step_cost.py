@@ -29,6 +29,7 @@ from cosim.spec.loading import load_scenario
 from cosim.spec.scenario import Scenario
 from cosim.traffic.running_simulation import RunningSimulation, simulation
 from cosim.traffic.simulation_input import SumoFiles, prepare_simulation
+from cosim.traffic.warm_up import warm_up
 from cosim.world.snapshot import Snapshot
 
 REPEATS, TURN = 7, 5
@@ -70,12 +71,11 @@ def compare(
 
 def ratios(running: RunningSimulation, scenario: Scenario, driver: Driver, rounds: int) -> list[float]:
     """Driven ÷ bare of this many rounds, printed one by one."""
-    trunk, found = Trunk(running, scenario), []
-    trunk.warm_up(lambda *_: None)
+    found, begin = [], warm_up(running.world, scenario, lambda *_: None)
     while len(found) < rounds:
         for _ in range(scenario.steps(BETWEEN)):
             running.world.step()
-        trunk = Trunk(running, scenario)  # one that has not used any vehicle yet
+        trunk = Trunk(running, scenario, begin)  # one that has not used any vehicle yet
         history = trunk.observe_history()
         this_round = trunk.find_groups(history, limit=scenario.groups_at_once)
         if not this_round.groups:

@@ -10,7 +10,8 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from cosim.runs.run import Run, open_run, run
+    from cosim.runs.run import run
+    from cosim.runs.run_results import Run, open_run
     from cosim.runs.traffic_run import TrafficRun, open_traffic_run, run_traffic
     from cosim.spec.loading import load_scenario
     from cosim.spec.scenario import Scenario
@@ -30,7 +31,8 @@ __all__ = [
 __version__ = version("gri-cosim")
 
 _HOMES = {
-    "cosim.runs.run": ("Run", "open_run", "run"),
+    "cosim.runs.run": ("run",),
+    "cosim.runs.run_results": ("Run", "open_run"),
     "cosim.runs.traffic_run": ("TrafficRun", "open_traffic_run", "run_traffic"),
     "cosim.spec.loading": ("load_scenario",),
     "cosim.spec.scenario": ("Scenario",),

@@ -7,7 +7,6 @@ Functions that read take the path of a file or the name of a released checkpoint
 
 import hashlib
 import warnings
-import zipfile
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -23,29 +22,10 @@ from gri.errors import InputError, guarded_reading
 from gri.networks.model import ModelConfig, RelationalModel
 from gri.resources import find_checkpoint
 from gri.rewards.structured import AssumedReward, LaneRewardConfig, NaturalisticConfig, RewardConfig, StructuredReward
+from gri.storage.checkpoint_header import FORMAT, REMAKE, VERSION, Header, damaged, header_of, refuse_old_format, typed
 from gri.storage.whole_files import write_whole
 
-FORMAT = "gri-checkpoint"  # the one key of the file's metadata; with several keys its bytes would not repeat
-VERSION = 2
 _MODEL, _REWARD = "model.", "reward."  # what the names of tensors begin with
-_REMAKE = "make it again with `gri train`"
-
-
-class Header(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a checkpoint says about its tensors: format, configuration, and the layout that it was trained for."""
-
-    version: int
-    sha256: str
-    """Of names, types, shapes and values of all tensors, in alphabetical order."""
-    config: dict[str, Any]
-    dt: float
-    """[s]"""
-    history_steps: int
-    vocabulary: list[str]
-    state: list[str]
-    action: list[str]
-    reward_config: dict[str, Any] | None
-    provenance: dict[str, Any]
 
 
 def save(
@@ -104,8 +84,8 @@ def load(path: Path | str) -> RelationalModel:
         >>> model.infer(state)  # the graph; `state` is [groups, vehicles, instants, features]
     """
     header, tensors = _read(path)
-    with guarded_reading(path, "checkpoint", _REMAKE):
-        config = _typed(header.config, ModelConfig, path)
+    with guarded_reading(path, "checkpoint", REMAKE):
+        config = typed(header.config, ModelConfig, path)
         _check_shapes(lambda: RelationalModel(config), tensors[_MODEL], path)
         model = RelationalModel(config)
         _check_layout(header, model, path)
@@ -118,11 +98,11 @@ def load_reward(path: Path | str) -> StructuredReward | None:
     header, tensors = _read(path)
     if header.reward_config is None:
         return None
-    with guarded_reading(path, "checkpoint", _REMAKE):
+    with guarded_reading(path, "checkpoint", REMAKE):
         kind = RewardConfig if tuple(header.vocabulary) == FOLLOWING else LaneRewardConfig
         if "type" in header.reward_config:
             kind = NaturalisticConfig | AssumedReward
-        config = _typed(header.reward_config, kind, path)
+        config = typed(header.reward_config, kind, path)
         _check_shapes(lambda: StructuredReward(config), tensors[_REWARD], path)
         reward = StructuredReward(config)
         reward.load_state_dict(tensors[_REWARD])
@@ -147,29 +127,19 @@ def _read(path: Path | str) -> tuple[Header, dict[str, dict[str, Tensor]]]:
     """The header of a checkpoint, and its tensors by what they belong to (`_MODEL`, `_REWARD`) and name."""
     path = find_checkpoint(path)
     tensors: dict[str, dict[str, Tensor]] = {_MODEL: {}, _REWARD: {}}
-    with guarded_reading(path, "checkpoint", _REMAKE):
-        if zipfile.is_zipfile(path):
-            raise InputError(f"{path}: a file of torch, such as version 0.1 wrote; expected safetensors; {_REMAKE}")
+    with guarded_reading(path, "checkpoint", REMAKE):
+        refuse_old_format(path)
         with safe_open(path, "pt") as file:
-            header = _header((file.metadata() or {}).get(FORMAT), path)
+            header = header_of(file.metadata(), path)
             found = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (it is no mapping)
     for name, tensor in found.items():
         prefix = next((prefix for prefix in tensors if name.startswith(prefix)), None)
         if prefix is None or not torch.isfinite(tensor).all():
-            raise InputError(f"{path}: its tensor {name[:60]} is unknown or not made of finite numbers; {_REMAKE}")
+            raise InputError(f"{path}: its tensor {name[:60]} is unknown or not made of finite numbers; {REMAKE}")
         tensors[prefix][name.removeprefix(prefix)] = tensor
     if tensor_digest(found) != header.sha256:
-        raise InputError(f"{path}: its tensors are damaged (their SHA-256 differs from that in the header); {_REMAKE}")
+        raise damaged(path)
     return header, tensors
-
-
-def _header(text: str | None, path: Path) -> Header:
-    if text is None:
-        raise InputError(f"{path}: a safetensors file, but not a {FORMAT}; give a file written by `gri train`")
-    version = msgspec.json.decode(text, type=dict[str, Any]).get("version")
-    if version != VERSION:
-        raise InputError(f"{path}: got format version {version}, this release reads {VERSION}; {_REMAKE}")
-    return _typed(msgspec.json.decode(text), Header, path)
 
 
 def _check_shapes(make: Callable[[], torch.nn.Module], tensors: Mapping[str, Tensor], path: Path | str) -> None:
@@ -182,19 +152,12 @@ def _check_shapes(make: Callable[[], torch.nn.Module], tensors: Mapping[str, Ten
         name = next(name for name in [*wanted, *got] if got.get(name) != wanted.get(name))
         raise InputError(
             f"{path}: tensors do not fit the stored configuration: {name[:60]} is {_said(got.get(name))}, wanted"
-            f" {_said(wanted.get(name))}; {_REMAKE}"
+            f" {_said(wanted.get(name))}; {REMAKE}"
         )
 
 
 def _said(found: tuple[tuple[int, ...], torch.dtype] | None) -> str:
     return "missing" if found is None else f"{str(found[1]).removeprefix('torch.')} of the shape {found[0]}"
-
-
-def _typed(content: Any, kind: Any, path: Path | str) -> Any:
-    try:
-        return msgspec.convert(content, kind)
-    except msgspec.ValidationError as error:
-        raise InputError(f"{path}: its stored configuration does not fit this release ({error}); {_REMAKE}") from error
 
 
 def _check_layout(header: Header, model: RelationalModel, path: Path | str) -> None:
@@ -208,4 +171,4 @@ def _check_layout(header: Header, model: RelationalModel, path: Path | str) -> N
     }
     for field, value in wanted.items():
         if getattr(header, field) != value:
-            raise InputError(f"{path}: got {field} {getattr(header, field)}, this release wants {value}; {_REMAKE}")
+            raise InputError(f"{path}: got {field} {getattr(header, field)}, this release wants {value}; {REMAKE}")

@@ -6,6 +6,9 @@ from typing import Any
 
 import msgspec
 
+# The first two are for `run_job`, which imports them late: a worker imports them once, and not every copy of it again.
+import cosim.loop.closed_loop
+import cosim.runs.run_writing  # noqa: F401
 from cosim.batch.run_matrix import Run, key_of
 from cosim.batch.spec import LEFT_TO_SUMO, NOMINAL
 from cosim.perturb.traffic_demand import perturbed_traffic

@@ -121,9 +121,7 @@ def run(
 
         for_groups = {"--policy": policy, "--baseline": baseline, "--episodes": episodes, "--recording": recording}
         return run_share(scenario, seed, out, settings or (), max_work, allow_code, table_format, for_groups)
-    from cosim.perturb.effects import shown_effects
     from cosim.runs.run import run as run_scenario
-    from cosim.runs.summary import summary_table
 
     changes: dict[str, Any] = {} if max_work is None else {"max_work": max_work}
     if baseline == "empty-graph":
@@ -142,6 +140,9 @@ def run(
             allow_code=allow_code,
             progress=progress,
         )
+    from cosim.perturb.effects import shown_effects  # with all of pandas, which a run in its worker does not wait for
+    from cosim.runs.summary import summary_table
+
     show_tables(
         [
             summary_table(done.groups, done.counterparts, done.manifest["arguments"]["episodes"]),

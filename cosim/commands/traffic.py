@@ -203,7 +203,7 @@ def survey_of(scenario: "Scenario", duration: float, progress: ShowProgress, sta
 
     with TemporaryDirectory() as scratch:
         return run_in_worker(
-            "cosim.runs.run_job:survey_job",
+            "cosim.runs.traffic_survey:survey_job",
             scenario,
             duration,
             log=Path(scratch, "worker.log"),

@@ -35,6 +35,7 @@ from cosim.spec.scenario import CarFollowing, Scenario, tag_of
 from cosim.sumo import SumoError
 from cosim.traffic.running_simulation import RunningSimulation, simulation
 from cosim.traffic.simulation_input import SumoFiles, prepare_simulation
+from cosim.traffic.warm_up import warm_up
 from cosim.world.break_ups import compared
 from cosim.world.episode import Episode
 from cosim.world.group_search import why_not_more
@@ -79,8 +80,8 @@ def _find_starts(link: Connection, scenario: Scenario, sees_nearby: bool, log: P
         inputs.write()
         scenario = inputs.scenario
         with simulation(inputs) as running:
-            trunk, found = Trunk(running, scenario), 0
-            trunk.warm_up(lambda *_: _end_if_alone(link))
+            trunk = Trunk(running, scenario, warm_up(running.world, scenario, lambda *_: _end_if_alone(link)))
+            found = 0
             while found < scenario.episodes and trunk.time < inputs.end:
                 _end_if_alone(link)
                 history = trunk.observe_history()

@@ -17,7 +17,7 @@ from cosim.loop.intervention import Intervention, NoIntervention
 from cosim.loop.own_policy import OwnPolicy
 from cosim.loop.perturbed_round import intervention_for
 from cosim.loop.round_recorder import Round
-from cosim.loop.trunk import Progress, Trunk
+from cosim.loop.trunk import Trunk
 from cosim.loop.vehicles_ahead import SpeedRecord
 from cosim.perturb.displaced_starts import Infeasible
 from cosim.perturb.effects import Effect
@@ -25,7 +25,8 @@ from cosim.process.fork import CAN_FORK, fork_and_send
 from cosim.process.guarded_calls import CallGuard, survive
 from cosim.spec.scenario import Scenario
 from cosim.traffic.running_simulation import RunningSimulation, simulation
-from cosim.traffic.simulation_input import SimulationInput, SumoFiles, prepare_simulation
+from cosim.traffic.simulation_input import SimulationInput, SumoFiles
+from cosim.traffic.warm_up import Progress, WarmTraffic, warm_traffic
 from cosim.world.backlog import Backlog
 from cosim.world.break_ups import compared
 from cosim.world.episode import Episode
@@ -82,15 +83,6 @@ class Branch:
     result: Callable[[], BranchResult]
 
 
-@dataclass(frozen=True)
-class WarmTraffic:
-    """A simulation at the end of its warm-up: what SUMO was started with, what runs, and the trunk."""
-
-    inputs: SimulationInput
-    running: RunningSimulation
-    trunk: Trunk
-
-
 def run(
     scenario: Scenario,
     files: SumoFiles,
@@ -110,18 +102,14 @@ def run(
 
     Raises InputError where the scenario does not fit its net or recording, SumoError where SUMO refuses.
     """
-    inputs = prepare_simulation(scenario, files, scenario.time_limit)
-    inputs.write()
-    with simulation(inputs) as running:
-        trunk = Trunk(running, inputs.scenario)
-        trunk.warm_up(progress)
-        return run_on(WarmTraffic(inputs, running, trunk), driver, progress, forking=forking)
+    with warm_traffic(scenario, files, progress) as warm:
+        return run_on(warm, driver, progress, forking=forking)
 
 
 def run_on(warm: WarmTraffic, driver: Driver | None, progress: Progress, *, forking: bool = CAN_FORK) -> Outcome:
     """`run`, from the end of the warm-up on."""
-    inputs, running, trunk = warm.inputs, warm.running, warm.trunk
-    scenario = inputs.scenario
+    inputs, running, scenario = warm.inputs, warm.running, warm.inputs.scenario
+    trunk = Trunk(running, scenario, warm.behind)
     left: list[Episode] = []
     driven: dict[Group, Episode] = {}
     excluded: list[tuple[Group, Infeasible]] = []

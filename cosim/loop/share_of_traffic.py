@@ -21,7 +21,6 @@ from cosim.loop.pair_policy import PairPolicy
 from cosim.loop.speed_share import Counts, GraphRow, SpeedShare
 from cosim.loop.traffic_history import TrafficHistory
 from cosim.loop.traffic_recorder import Recording, TrafficEvent, TrafficRecorder
-from cosim.loop.trunk import Progress
 from cosim.spec.scenario import Road
 from cosim.spec.sumo_models import SumoModel
 from cosim.sumo.driver_models import use_model
@@ -30,6 +29,7 @@ from cosim.sumo.speed_control import SpeedControl
 from cosim.traffic.driver_model_types import type_id
 from cosim.traffic.running_simulation import RunningSimulation, simulation
 from cosim.traffic.simulation_input import SimulationInput
+from cosim.traffic.warm_up import Progress
 from cosim.world.backlog import Backlog
 
 TELL_EVERY = 100  # steps

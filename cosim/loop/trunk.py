@@ -1,7 +1,7 @@
 """The trunk: the undisturbed traffic, in which groups are found and left to SUMO."""
 
 from collections import deque
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 
 from cosim.loop.driving import drive, start_round
 from cosim.loop.intervention import NoIntervention
@@ -9,51 +9,33 @@ from cosim.loop.round_recorder import Round
 from cosim.loop.vehicles_ahead import SpeedRecord, vehicles_ahead
 from cosim.spec.scenario import Scenario
 from cosim.traffic.running_simulation import RunningSimulation
-from cosim.world.backlog import Backlog
+from cosim.traffic.warm_up import WarmUp
 from cosim.world.episode import Episode
 from cosim.world.group_search import GroupSearch, search_groups
 from cosim.world.snapshot import Snapshot
 
-Progress = Callable[[str, int, int], None]
-"""Called with (what is done, how much is done, of how much)."""
 BETWEEN_ATTEMPTS = 1.0  # [s] between two attempts to find groups
-WARM_UP_CHUNKS = 50  # how often progress is reported during the warm-up
 FASTEST = 70.0  # [m/s], of any vehicle
 
 
 class Trunk:
     """Steps the undisturbed traffic, and remembers the vehicles it took for groups and why there were not more.
 
-    `steps` and `time` [s] count from the start of the simulation. `search` is the sum of all searches for groups,
-    `backlog` the vehicles outside the net when they were counted last.
+    It begins where a warm-up (`cosim.traffic.warm_up`) has ended. `steps` and `time` [s] count from the start of the
+    simulation. `search` is the sum of all searches for groups, `backlog` the vehicles outside the net when they were
+    counted last.
     """
 
-    def __init__(self, running: RunningSimulation, scenario: Scenario) -> None:
+    def __init__(self, running: RunningSimulation, scenario: Scenario, begin: WarmUp) -> None:
         self._running, self._scenario = running, scenario
         self._used: set[str] = set()
         self._history: deque[Snapshot] = deque(maxlen=scenario.steps(scenario.history))
-        self.steps, self.time, self.search, self.backlog = 0, 0.0, GroupSearch(), Backlog()
-
-    def copied_for(self, scenario: Scenario) -> "Trunk":
-        """A trunk of the same simulation, where this one is after the warm-up, that goes on by another scenario."""
-        other = Trunk(self._running, scenario)
-        other.steps, other.time, other.backlog = self.steps, self.time, self.backlog
-        return other
+        self.steps, self.time, self.backlog = begin.steps, begin.time, begin.backlog
+        self.search = GroupSearch()
 
     def _step(self) -> None:
         report = self._running.world.step()
         self.steps, self.time = self.steps + 1, report.time
-
-    def warm_up(self, progress: Progress) -> None:
-        """Run until the end of the warm-up."""
-        total = self._scenario.steps(self._scenario.traffic.warm_up)
-        for k in range(total):
-            if k % max(total // WARM_UP_CHUNKS, 1) == 0:
-                progress("warm-up", k, total)
-                self._count_waiting()
-            self._step()
-        self._count_waiting()
-        progress("warm-up", total, total)
 
     def _count_waiting(self) -> None:
         self.backlog = self.backlog.updated(self._running.world.waiting(), self.time)

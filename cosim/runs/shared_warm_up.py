@@ -10,16 +10,13 @@ from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from cosim.loop.closed_loop import Outcome, WarmTraffic, run_on
-from cosim.loop.driving import Driver
-from cosim.loop.trunk import Progress, Trunk
 from cosim.process.own_process import print_to
 from cosim.spec.input_files import find_net, sha256
 from cosim.spec.scenario import Scenario
 from cosim.sumo import sumo_errors
-from cosim.traffic.running_simulation import simulation
 from cosim.traffic.scratch_files import scratch_folder
 from cosim.traffic.simulation_input import SumoFiles, prepare_simulation
+from cosim.traffic.warm_up import WarmTraffic, warm_traffic
 
 
 @dataclass(frozen=True)
@@ -34,15 +31,16 @@ class SharedWarmUp:
     messages: bytes
     log: tuple[int, int]
 
-    def run(self, scenario: Scenario, log: Path, driver: Driver | None, progress: Progress) -> Outcome:
-        """What `cosim.loop.closed_loop.run` returns; to be called in a copy of the process. `log` is SUMO's log now."""
+    @contextmanager
+    def traffic_for(self, scenario: Scenario, log: Path) -> Iterator[WarmTraffic]:
+        """The traffic for a run of this scenario; to be called in a copy of the process. `log` is SUMO's log now."""
         warm = self.traffic
         inputs = prepare_simulation(scenario, warm.inputs.files, scenario.time_limit)
         same = replace(inputs, scenario=warm.inputs.scenario) == warm.inputs
         assert same, "runs with different traffic were to share a warm-up"
         self._log_to(log)
         with sumo_errors(log):
-            return run_on(WarmTraffic(inputs, warm.running, warm.trunk.copied_for(inputs.scenario)), driver, progress)
+            yield WarmTraffic(inputs, warm.running, warm.behind)
 
     def _log_to(self, log: Path) -> None:
         with log.open("ab") as stream:
@@ -68,12 +66,8 @@ def shared_warm_up(scenario: Scenario, within: str = "") -> Iterator[SharedWarmU
         folder = Path(scratch.enter_context(scratch_folder(Path(within) if within and Path(within).is_dir() else None)))
         files = SumoFiles(find_net(scenario.net), folder / "routes.rou.xml", folder / "sumo.log")
         print_to(files.log)
-        inputs = prepare_simulation(scenario, files, scenario.time_limit)
-        inputs.write()
-        running = stack.enter_context(simulation(inputs))
-        trunk = Trunk(running, inputs.scenario)
-        trunk.warm_up(lambda *_: None)
+        traffic = stack.enter_context(warm_traffic(scenario, files, lambda *_: None))
         found = files.log.stat()
         routes, messages = sha256(files.routes), files.log.read_bytes()
         scratch.close()
-        yield SharedWarmUp(WarmTraffic(inputs, running, trunk), routes, messages, (found.st_dev, found.st_ino))
+        yield SharedWarmUp(traffic, routes, messages, (found.st_dev, found.st_ino))

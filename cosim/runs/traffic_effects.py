@@ -9,7 +9,6 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from cosim.loop.trunk import Progress
 from cosim.perturb.effects import Effect
 from cosim.perturb.traffic_demand import GRAVITY, driver_shares, perturbed_traffic
 from cosim.runs.traffic_survey import Survey, survey
@@ -24,6 +23,7 @@ from cosim.spec.perturbations import (
 )
 from cosim.spec.scenario import Replay, Scenario
 from cosim.traffic.scratch_files import scratch_files
+from cosim.traffic.warm_up import Progress
 from gri.storage.verification import is_intact, read_sealed, write_sealed
 
 ROAD_IS_FULL = 20  # more vehicles than without the perturbation that wait outside the net

@@ -1,14 +1,17 @@
 """What undisturbed traffic does: speeds, flows and lane use of a scenario in which nobody is taken over."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 
-from cosim.loop.trunk import Progress
+from cosim.spec.input_files import find_net
 from cosim.spec.scenario import Scenario
 from cosim.traffic.running_simulation import simulation
+from cosim.traffic.scratch_files import scratch_files
 from cosim.traffic.simulation_input import SumoFiles, prepare_simulation
+from cosim.traffic.warm_up import Progress
 from cosim.world.snapshot import Snapshot
 
 TELL_EVERY = 100  # steps
@@ -70,3 +73,9 @@ def _samples(snapshot: Snapshot, length: float, lanes: dict[str, int]) -> pd.Dat
             "a": snapshot.a[rows],
         }
     )
+
+
+def survey_job(scenario: Scenario, duration: float, tell: Callable[..., None]) -> Survey:
+    """Survey the undisturbed traffic of a scenario; it runs in a worker process."""
+    with scratch_files(find_net(scenario.net)) as files:
+        return survey(scenario, files, duration, tell)

@@ -31,6 +31,7 @@ from cosim.spec.scenario import CarFollowing, Scenario
 from cosim.traffic.running_simulation import RunningSimulation, simulation
 from cosim.traffic.scratch_files import scratch_files
 from cosim.traffic.simulation_input import prepare_simulation
+from cosim.traffic.warm_up import warm_up
 from cosim.world.groups import isolated
 from cosim.world.snapshot import Snapshot
 from gri.errors import InputError
@@ -87,8 +88,7 @@ def measured_effects(
         inputs = prepare_simulation(scenario, files, scenario.time_limit)
         inputs.write()
         with simulation(inputs) as running:
-            trunk = Trunk(running, inputs.scenario)
-            trunk.warm_up(tell)
+            trunk = Trunk(running, inputs.scenario, warm_up(running.world, inputs.scenario, tell))
             done = 0
             while done < len(views) and trunk.time < inputs.end:
                 tell("episodes", done, len(views))

@@ -30,6 +30,7 @@ from cosim.stress.result_rows import result_row
 from cosim.traffic.running_simulation import RunningSimulation, simulation
 from cosim.traffic.scratch_files import scratch_files
 from cosim.traffic.simulation_input import prepare_simulation
+from cosim.traffic.warm_up import warm_up
 from cosim.world.groups import Group, isolated
 from cosim.world.snapshot import Snapshot
 from gri.errors import InputError
@@ -86,8 +87,7 @@ def chunk_rows(chunk: Chunk, tell: Callable[..., None], scratch: Path | None = N
         inputs = prepare_simulation(replace(scenario, perturbations=()), files, scenario.time_limit)
         inputs.write()
         with simulation(inputs) as running:
-            trunk = Trunk(running, inputs.scenario)
-            trunk.warm_up(lambda *_: None)
+            trunk = Trunk(running, inputs.scenario, warm_up(running.world, inputs.scenario, lambda *_: None))
             while starts < chunk.starts and trunk.time < inputs.end:
                 history = trunk.observe_history()
                 found = trunk.find_groups(history, limit=chunk.starts - starts)

@@ -25,7 +25,7 @@ from jaxtyping import Float
 from msgspec.structs import replace
 from scipy.optimize import minimize
 
-from cosim.runs.run_job import survey_job
+from cosim.runs.traffic_survey import survey_job
 from cosim.spec.demand import Traffic
 from cosim.spec.scenario import Scenario
 from cosim.studies.free_parameters import Parameter

@@ -13,7 +13,7 @@ from cosim.spec.scenario import Replay, Scenario
 from cosim.spec.sumo_configuration import configuration
 from cosim.spec.work import refuse_too_much
 from cosim.traffic.additional_file import without_outputs
-from cosim.traffic.replay import RecordedTrack, read_tracks, without_demand
+from cosim.traffic.replay import RecordedTrack, without_demand
 from cosim.traffic.route_file import arguments, route_file, sign_file
 from gri.errors import InputError
 
@@ -71,6 +71,8 @@ def prepare_simulation(scenario: Scenario, files: SumoFiles, duration: float) ->
     tracks: tuple[RecordedTrack, ...] = ()
     end_of_recording = math.inf
     if isinstance(scenario.background, Replay):
+        from cosim.traffic.recorded_tracks import read_tracks
+
         tracks = read_tracks(scenario.background, scenario.step)
         end_of_recording = max((track.last_step for track in tracks), default=0) * scenario.step
         scenario = replace(scenario, traffic=without_demand(scenario.traffic))

@@ -22,7 +22,7 @@ from cosim.batch.result_listing import failures_table, groups_of, runs_table
 from cosim.batch.spec import Shards
 from cosim.batch.store import BatchStore
 from cosim.runs.finished_run import read_scenario
-from cosim.runs.run import open_run
+from cosim.runs.run_results import open_run
 from gri.errors import InputError
 from gri.storage.verification import SEAL, sealed
 from tests.cosim.runs.finished import finished_run

@@ -58,8 +58,9 @@ def test_reading_results_needs_neither_torch_nor_sumo(arguments: list[str]):
 @pytest.mark.parametrize(
     ("module", "unused"),
     [
-        ("cosim.runs.run", {"torch", "libsumo", "scipy", "matplotlib"}),  # the process that waits for a run
-        ("cosim.runs.run_job", {"scipy", "matplotlib"}),  # the process that does it, until it draws
+        ("cosim.runs.run", {"torch", "libsumo", "pandas", "scipy", "matplotlib"}),  # the process that waits for a run
+        ("cosim.runs.run_job", {"torch", "pandas", "scipy", "matplotlib"}),  # the process that does it, until it drives
+        ("cosim.runs.run_writing", {"scipy", "matplotlib"}),  # until it draws
         ("cosim.show.batch_report", {"torch", "libsumo"}),
     ],
 )

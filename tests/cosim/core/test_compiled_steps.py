@@ -115,8 +115,7 @@ def compare(name: str, tmp_path, *, groups: int = 4, warm_up: float = 120.0, rou
     inputs.write()
     found = []
     with simulation(inputs) as running:
-        trunk = Trunk(running, inputs.scenario)
-        trunk.warm_up(lambda *_: None)
+        trunk = Trunk(running, inputs.scenario, warm_up(running.world, inputs.scenario, lambda *_: None))
         while len(found) < rounds:
             history = trunk.observe_history()
             this_round = trunk.find_groups(history, limit=groups)

@@ -7,6 +7,7 @@ from cosim.spec.input_files import find_net
 from cosim.spec.scenario import Road
 from cosim.traffic.running_simulation import simulation
 from cosim.traffic.simulation_input import SumoFiles, prepare_simulation
+from cosim.traffic.warm_up import warm_up
 from cosim.world.backlog import MANY_WAITING, Backlog
 from cosim.world.group_search import search_groups
 from gri.core.policy import IntelligentDriver
@@ -55,8 +56,8 @@ def test_a_history_has_everybody_at_its_end_and_before_that_those_who_could_be_i
     inputs = prepare_simulation(scenario, files, scenario.time_limit)
     inputs.write()
     with simulation(inputs) as running:
-        trunk, world = Trunk(running, inputs.scenario), running.world
-        trunk.warm_up(lambda *_: None)
+        world = running.world
+        trunk = Trunk(running, inputs.scenario, warm_up(world, inputs.scenario, lambda *_: None))
         whole, step = [], world.step
 
         def recorded_step():

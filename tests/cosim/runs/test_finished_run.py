@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from cosim.runs.finished_run import read_scenario, verify_run
-from cosim.runs.run import open_run
+from cosim.runs.run_results import open_run
 from gri.errors import InputError
 from tests.cosim.runs.finished import finished_run, flip
 

@@ -13,7 +13,7 @@ from cosim.runs.run_tables import steps_table
 from cosim.runs.traffic_survey import survey
 from cosim.spec.loading import load_scenario, override, with_recording
 from cosim.spec.scenario import CarFollowing
-from cosim.traffic.replay import read_tracks
+from cosim.traffic.recorded_tracks import read_tracks
 from cosim.traffic.running_simulation import simulation
 from cosim.traffic.simulation_input import SumoFiles, prepare_simulation
 from cosim.world.episode import Ending, EventKind
