@@ -1,12 +1,12 @@
 """`cosim check`: what fits in a scenario and what does not, before it runs."""
 
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from textwrap import fill
 
 import typer
 
 from cosim.commands.arguments import AllowCodeOption, ScenarioArgument
+from gri.storage.scratch import ScratchFolder
 from gri.terminal import ProgressDisplay, next_command, say
 
 
@@ -28,7 +28,7 @@ def check(scenario: ScenarioArgument, allow_code: AllowCodeOption = False) -> No
     refuse_foreign_code(msgspec.to_builtins(loaded.policy), find_file(scenario, "scenarios", "scenario"), allow_code)
     files = input_files(loaded)
     say(_told("ok", f"files: {', '.join(path.name for path in files.values())}"))
-    with TemporaryDirectory() as scratch, ProgressDisplay() as progress:
+    with ScratchFolder() as scratch, ProgressDisplay() as progress:
         log = Path(scratch, "sumo.log")
         findings = run_in_worker("cosim.proposals.check:check_scenario", loaded, log=log, tell=progress)
     for finding in findings:

@@ -4,7 +4,6 @@ import os
 import time
 from dataclasses import asdict
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -18,6 +17,7 @@ from cosim.commands.arguments import (
     WorkersOption,
 )
 from gri.errors import InputError
+from gri.storage.scratch import ScratchFolder
 from gri.table import Table
 from gri.terminal import FormatOption, ProgressDisplay, ShowProgress, finite, show_tables
 
@@ -201,7 +201,7 @@ def survey_of(scenario: "Scenario", duration: float, progress: ShowProgress, sta
     """Survey the traffic in a process of its own; its progress is shown under the name of the stage."""
     from cosim.process.worker_process import run_in_worker
 
-    with TemporaryDirectory() as scratch:
+    with ScratchFolder() as scratch:
         return run_in_worker(
             "cosim.runs.traffic_survey:survey_job",
             scenario,

@@ -5,7 +5,6 @@
 
 import subprocess
 import sys
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -34,6 +33,7 @@ from cosim.spec.scenario import Scenario
 from cosim.world.groups import Group
 from gri.core.nearby import Nearby
 from gri.errors import InputError
+from gri.storage.scratch import ScratchFolder
 
 _PROGRAM = """
 import sys
@@ -123,7 +123,7 @@ class Traffic:
         if not CAN_FORK:
             raise InputError("environments fork warmed-up traffic, which this system cannot; use Linux or macOS")
         self._scenario = scenario
-        self._folder = tempfile.TemporaryDirectory()
+        self._folder = ScratchFolder()
         self._log = Path(self._folder.name, "sumo.log")
         self._link, theirs = Pipe()
         program = _PROGRAM.format(fd=theirs.fileno())

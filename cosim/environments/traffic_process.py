@@ -9,7 +9,6 @@ import math
 import os
 import pickle
 import signal
-import tempfile
 import traceback
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -43,6 +42,7 @@ from cosim.world.outcome_columns import outcome_columns
 from cosim.world.snapshot import Snapshot
 from gri.core.dynamics import DUBINS, POINT_MASS_1D
 from gri.errors import InputError
+from gri.storage.scratch import ScratchFolder
 
 Planned = Intervention | NoIntervention
 
@@ -73,7 +73,7 @@ def _find_starts(link: Connection, scenario: Scenario, sees_nearby: bool, log: P
 
     Learners that see who is nearby are told of it in every step.
     """
-    with tempfile.TemporaryDirectory() as scratch:
+    with ScratchFolder() as scratch:
         inputs = prepare_simulation(
             scenario, SumoFiles(find_net(scenario.net), Path(scratch, "routes.rou.xml"), log), scenario.time_limit
         )

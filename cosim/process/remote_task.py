@@ -7,10 +7,10 @@ the same paths; a run of a batch refuses to start where its key comes out differ
 import os
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 from cosim.process.task import Task, TaskResult
 from cosim.process.task_pool import Worker, alive_or_new
+from gri.storage.scratch import ScratchFolder
 
 Parcel = tuple[TaskResult, dict[str, bytes]]
 """An answer and the files of the folder of its task."""
@@ -23,7 +23,7 @@ def perform_away(task: Task, time_limit: float, folder: str) -> Parcel:
     global _worker
     if Path(folder).is_dir():
         os.chdir(folder)  # names of own files are relative to where the command was given
-    with TemporaryDirectory() as scratch:
+    with ScratchFolder() as scratch:
         _worker = alive_or_new(_worker)
         answer = _worker.perform(replace(task, folder=Path(scratch, "run")), time_limit)
         files = {path.name: path.read_bytes() for path in Path(scratch, "run").glob("*")}

@@ -8,11 +8,14 @@ from pathlib import Path
 from cosim.sumo import SumoError
 from cosim.traffic.simulation_input import SumoFiles
 from gri.errors import InputError
+from gri.storage.scratch import ScratchFolder
 from gri.storage.whole_files import PART
 
 
 def scratch_folder(within: Path | None = None) -> tempfile.TemporaryDirectory[str]:
     """A folder inside `within`, or where the system keeps temporary files; it is removed afterwards."""
+    if within is None:
+        return ScratchFolder()
     return tempfile.TemporaryDirectory(prefix=".scratch-", suffix=PART, dir=within)
 
 
@@ -22,8 +25,9 @@ def scratch_files(
 ) -> Iterator[SumoFiles]:
     """Where SUMO reads and writes: in a folder inside `within`, or where the system keeps temporary files.
 
-    What a killed process leaves inside `within` is removed by the next command that claims it. The log is kept where
-    `log` says so. Errors: `InputError` for what SUMO refuses meanwhile.
+    What a killed process leaves inside `within` is removed by the next command that claims it, elsewhere by the next
+    one that makes a folder there. The log is kept where `log` says so. Errors: `InputError` for what SUMO refuses
+    meanwhile.
     """
     with scratch_folder(within) as scratch:
         try:

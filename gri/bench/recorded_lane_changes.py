@@ -4,7 +4,6 @@ Vehicles 1 and 2 keep their lane; vehicle 0 changes into it. If vehicle 0 is kep
 it yields to nobody: each "yield" is wrong. No row is given which edges are possible, but for the prior, which is a row.
 """
 
-import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -28,6 +27,7 @@ from gri.data.recorded import recorded_scenes, scenes_to_test
 from gri.errors import InputError
 from gri.planning.edge_posterior import edge_prior, marginals
 from gri.planning.riccati_likelihood import expand_steps, log_likelihood_by_steps
+from gri.storage.scratch import ScratchFolder
 from gri.training.grounded.recorded_traffic import RecordedSettings, recorded_prior
 from gri.training.grounded.settings import GroundedSettings
 
@@ -45,7 +45,7 @@ def lane_change_scores(files: Sequence[Path]) -> pd.DataFrame:
 
     Errors: `InputError` if a file cannot be read.
     """
-    with tempfile.TemporaryDirectory(prefix="gri-lane-changes-") as folder:
+    with ScratchFolder() as folder:
         path = Path(folder) / "scenes.parquet"
         try:
             extract(files, path, Rules(), tuple(HYPOTHESES))

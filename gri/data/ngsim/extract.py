@@ -1,7 +1,6 @@
 """Extracting scenes from NGSIM files into a scene file."""
 
 import hashlib
-import tempfile
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -25,6 +24,7 @@ from gri.data.scene_file.schema import Header, SceneBlock, header_of, names_of, 
 from gri.errors import InputError
 from gri.networks.model import CHAIN, Edge
 from gri.progress import Progress, no_progress
+from gri.storage.scratch import ScratchFolder
 
 Kind = Literal["car_following", "lane_changing_h1", "lane_changing_h2"]
 HYPOTHESES: dict[Kind, Hypothesis] = {"lane_changing_h1": "H1", "lane_changing_h2": "H2"}
@@ -69,7 +69,7 @@ def inspect(
     `site` overrides the site that the file names. Errors: `InputError` if the file cannot be read (`store_recordings`)
     or its units are not feet and seconds (`clean`).
     """
-    with tempfile.TemporaryDirectory(prefix="gri-ngsim-") as folder:
+    with ScratchFolder() as folder:
         store = store_recordings(path, Path(folder), site, progress)
         return [clean(recording)[1] for recording in store], dict(store.unreadable)
 
@@ -112,7 +112,7 @@ def extract(
     )
     with writing(out, Header(dt=rules.smoothing.dt, provenance={"made by": _program(), **door.provenance})) as write:
         for path in paths:
-            with tempfile.TemporaryDirectory(prefix="gri-ngsim-") as folder:
+            with ScratchFolder() as folder:
                 store = door.open(path, Path(folder))
                 for done, recording in enumerate(store):
                     extract_recording(recording, write)

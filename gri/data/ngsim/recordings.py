@@ -7,7 +7,6 @@ recording at a time. So memory holds one recording, not the whole file.
 """
 
 import re
-import tempfile
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -20,6 +19,7 @@ from gri.data.ngsim.columns import LOCATION_COLUMN, REQUIRED_COLUMNS
 from gri.data.ngsim.reading import read_chunks
 from gri.errors import InputError
 from gri.progress import Progress, no_progress
+from gri.storage.scratch import ScratchFolder
 
 MAX_RECORDINGS = 500
 """A file with more values of the clock has an error in its columns."""
@@ -112,7 +112,7 @@ class RecordingStore:
 
 def recordings(path: Path, site: str | None = None, progress: Progress = no_progress) -> Iterator[Recording]:
     """The recordings of a file, one after the other, with their rows in the order of the file (`store_recordings`)."""
-    with tempfile.TemporaryDirectory(prefix="gri-ngsim-") as folder:
+    with ScratchFolder() as folder:
         yield from store_recordings(path, Path(folder), site, progress)
 
 

@@ -4,7 +4,6 @@ That form is `gri.data.ngsim.recordings.Recording`. Its rows are in feet and sin
 the same motion gives the same scenes, to the last bit, whatever layout it comes in.
 """
 
-import tempfile
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -25,6 +24,7 @@ from gri.data.recordings.road_axis import estimated_axis, given_axis, on_roads
 from gri.data.recordings.table import CLASSES, NO_VEHICLES, checked
 from gri.errors import InputError, guarded_reading
 from gri.progress import Progress, no_progress
+from gri.storage.scratch import ScratchFolder
 
 FARTHEST = 16_000.0
 """Positions that are farther away are counted from the first one, as single precision is too coarse there [m]."""
@@ -78,7 +78,7 @@ def open_recordings(
 
 def recordings_of(path: Path, options: ReadingOptions | None = None) -> Iterator[Recording]:
     """The recordings of a file, one after the other (`open_recordings`)."""
-    with tempfile.TemporaryDirectory(prefix="gri-recording-") as folder:
+    with ScratchFolder() as folder:
         yield from open_recordings(path, Path(folder), options)
 
 

@@ -1,6 +1,5 @@
 """Scenes from recordings of any layout, and reports on them."""
 
-import tempfile
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -21,6 +20,7 @@ from gri.data.recordings.reading import Recordings, open_recordings, tidy_table
 from gri.data.recordings.table import CLASSES
 from gri.errors import InputError
 from gri.progress import Progress, no_progress
+from gri.storage.scratch import ScratchFolder
 
 ALL_LANES = tuple(range(1, 21))
 """Lanes of scenes from other layouts than NGSIM: all that are numbered from 1; 0 is a ramp or shoulder."""
@@ -46,7 +46,7 @@ class Report:
 def inspect_file(path: Path, options: ReadingOptions, progress: Progress = no_progress) -> Report:
     """The report on a file, folder or zip archive. Errors: `InputError` as in `open_recordings`."""
     reports, classes, lateral = [], [], []
-    with tempfile.TemporaryDirectory(prefix="gri-recording-") as folder:
+    with ScratchFolder() as folder:
         found = open_recordings(path, Path(folder), options, progress)
         for recording in found:
             reports.append(clean(recording)[1])
@@ -108,7 +108,7 @@ def write_tidy(
     """
     notes, tables = [], []
     for path in paths:
-        with tempfile.TemporaryDirectory(prefix="gri-recording-") as folder:
+        with ScratchFolder() as folder:
             found = open_recordings(path, Path(folder), options, progress)
             notes += found.notes
             tables += [tidy_table(recording) for recording in found]
