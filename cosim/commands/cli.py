@@ -152,6 +152,8 @@ def run(
         f"{time.monotonic() - began:.0f} s. Tables, manifest and picture: {done.folder}",
         then=f"cosim report {done.folder}" if baseline or policy else f"cosim run {scenario} --baseline idm",
     )
+    for note in done.notes():
+        notice(note)
     for warning in done.warnings():
         notice(f"warning: {warning}")
     if failures := done.policy_failures:

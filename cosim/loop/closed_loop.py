@@ -21,18 +21,20 @@ from cosim.loop.trunk import Trunk
 from cosim.loop.vehicles_ahead import SpeedRecord
 from cosim.perturb.displaced_starts import Infeasible
 from cosim.perturb.effects import Effect
-from cosim.process.fork import CAN_FORK, fork_and_send
+from cosim.process.fork import CAN_FORK, fork, fork_and_send
 from cosim.process.guarded_calls import CallGuard, survive
-from cosim.spec.scenario import Scenario
+from cosim.spec.scenario import Replay, Scenario
+from cosim.traffic.reacting_vehicles import Release
 from cosim.traffic.running_simulation import RunningSimulation, simulation
 from cosim.traffic.simulation_input import SimulationInput, SumoFiles
 from cosim.traffic.warm_up import Progress, WarmTraffic, warm_traffic
 from cosim.world.backlog import Backlog
 from cosim.world.break_ups import compared
-from cosim.world.episode import Episode
+from cosim.world.episode import Episode, Event, EventKind
 from cosim.world.group_search import GroupSearch
 from cosim.world.groups import Group, isolated
 from cosim.world.snapshot import Snapshot
+from gri.errors import InputError
 from gri.processes import end_with_parent
 
 
@@ -117,6 +119,9 @@ def run_on(warm: WarmTraffic, driver: Driver | None, progress: Progress, *, fork
     in_branches = SumoCounts()
     effects: list[Effect] = []
     without_branches = driver is None and not scenario.perturbations
+    overlap = isinstance(scenario.background, Replay) and scenario.background.overlap
+    if overlap and not forking:
+        raise InputError("background.overlap: rounds that overlap need fork, which this system lacks; leave it out")
     while len(left) < scenario.episodes and trunk.time < inputs.end:
         progress("episodes", len(left), scenario.episodes)
         history = trunk.observe_history()
@@ -136,7 +141,11 @@ def run_on(warm: WarmTraffic, driver: Driver | None, progress: Progress, *, fork
             if intervention.round.groups and not without_branches
         ]
         together = tuple(group for group in found.groups if group in feasible)
-        episodes, speeds = trunk.leave_to_sumo(history, dataclasses.replace(found, groups=together))
+        this_round = dataclasses.replace(found, groups=together)
+        if overlap:
+            episodes, speeds = fork(lambda: trunk.leave_to_sumo(history, this_round)).result()  # noqa: B023
+        else:
+            episodes, speeds = trunk.leave_to_sumo(history, this_round)
         left += episodes
         for branch in branches:
             branch.go_on(speeds)
@@ -209,7 +218,16 @@ def _drive(running: RunningSimulation, start: RoundStart, speeds: SpeedRecord) -
     world = running.world
     teleports, collision_steps = world.teleports, world.collision_steps
     episodes, reached = drive_and_measure(world, running.frame, dataclasses.replace(start, intervention=intervention))
+    if running.recorded is not None:
+        episodes = [_with_releases(episode, running.recorded.releases) for episode in episodes]
     return episodes, SumoCounts(world.teleports - teleports, world.collision_steps - collision_steps), reached
+
+
+def _with_releases(episode: Episode, releases: Sequence[Release]) -> Episode:
+    """The episode with the recorded vehicles that were released because of its vehicles."""
+    mine = [release for release in releases if release.root in episode.group.ids]
+    found = [Event(r.time, EventKind.RELEASED, (r.vehicle,), f"behind {r.ahead}") for r in mine]
+    return dataclasses.replace(episode, events=tuple(sorted([*episode.events, *found], key=lambda event: event.time)))
 
 
 def _drive_from_start(

@@ -28,7 +28,7 @@ from cosim.loop.returning_vehicles import ReturningVehicles
 from cosim.loop.round_recorder import Round, RoundRecorder, hard_braking
 from cosim.loop.round_start import Made, RoundStart, Seen, around_of
 from cosim.loop.state_layouts import layout_of
-from cosim.loop.take_over_and_hand_back import Control, PolicyControl, SumoControl
+from cosim.loop.take_over_and_hand_back import Control, PolicyControl, SumoControl, SumoDriverControl
 from cosim.spec.scenario import AFTERMATH, GraphSource, Inferred, RssFilter
 from cosim.sumo import Sumo
 from cosim.world.break_ups import lane_entries, with_cause
@@ -49,13 +49,14 @@ _S = COLUMNS.index("s")
 class Driver:
     """A policy with its name and the source of its graph, which is inferred again every `reinfer` steps (0: never).
 
-    A `reference` driver brakes on top of the policy; `safety` is the filter of its actions. A driver that `predicts`
-    makes up for the latency of perturbed sensors (`cosim.perturb.state_predictor`). It drives `without` the edges of
-    these pairs (sender, receiver), whatever it infers.
+    `policy` None: SUMO's drivers, in the place of recorded ones. A `reference` driver brakes on top of the policy;
+    `safety` is the filter of its actions. A driver that `predicts` makes up for the latency of perturbed sensors
+    (`cosim.perturb.state_predictor`). It drives `without` the edges of these pairs (sender, receiver), whatever it
+    infers.
     """
 
     name: str
-    policy: Policy
+    policy: Policy | None
     graph: GraphSource = field(default_factory=Inferred)
     reinfer: int = 0
     reference: DriverName | None = None
@@ -82,6 +83,8 @@ def start_round(
     assert latest.valid.all(), "a group was selected with a vehicle that is not there"
     if driver is None:
         return RoundStart(SumoControl(this_round.default_driver), intervention, now, observations)
+    if driver.policy is None:
+        return RoundStart(SumoDriverControl(driver.name, this_round), intervention, now, observations)
     layout = layout_of(this_round.rule, road, latest.state, now.length[latest.rows], this_round.lanes)
     runner = PolicyRunner(
         driver.policy,

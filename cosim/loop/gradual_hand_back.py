@@ -10,65 +10,21 @@ vehicle drifts to the centre of its lane. The functions here plan one vehicle; `
 import math
 from dataclasses import dataclass, replace
 
+from cosim.measures.following import NOTICED, Ahead, Headway, required_braking
+
 DURATION = 10.0  # [s] for which the jerk is limited at least
-SHORTEST_TIME = 0.3  # [s], the shortest time headway that a driver accepts
 TIME_RATE, GAP_RATE = 0.1, 0.2  # [s/s] and [m/s], at which the wanted headway grows
 PER_GAP, PER_SPEED, PER_ACCELERATION = 0.15, 0.6, 0.3  # [1/s²], [1/s], []: how the driver follows the vehicle ahead
 COMFORTABLE_JERK, FIRM_JERK, EMERGENCY_JERK = 5.0, 9.0, 30.0  # [m/s³]
-NOTICED, FIRM, EMERGENCY = 1.0, 2.0, 5.0  # [m/s²] of required braking: from here on it counts, and the jerk is larger
+FIRM, EMERGENCY = 2.0, 5.0  # [m/s²] of required braking: from here on the jerk is larger
 HARDEST_BRAKING = 9.0  # [m/s²], what a dry road allows
-CLEARANCE, TOUCHING = 1.0, 0.01  # [m] that a driver who must brake keeps to the vehicle ahead; nearer is a contact
 PLACES = 10  # of a drift that are looked at
 LATERAL_SPEED, SHORTEST_DRIFT = 0.4, 3.0  # [m/s] at most, and [s] at least, for the drift to the centre of the lane
-
-
-@dataclass(frozen=True)
-class Headway:
-    """What a driver wants to keep to the vehicle ahead: a time headway `time` [s] and a minimum gap `gap` [m]."""
-
-    time: float
-    gap: float
-
-
-@dataclass(frozen=True)
-class Ahead:
-    """What is ahead: the net gap [m] to it, its speed v [m/s] and its acceleration a [m/s²]."""
-
-    gap: float
-    v: float
-    a: float
-
-
-def found(own: Headway, v: float, ahead: Ahead) -> Headway:
-    """The headway of a vehicle at the speed `v` [m/s] behind another; at most the driver's own.
-
-    Where the gap closes, it is the one that is left after NOTICED braking.
-    """
-    gap = max(ahead.gap - max(v - ahead.v, 0.0) ** 2 / (2 * NOTICED), 0.0)
-    minimum = min(own.gap, 0.5 * gap)
-    return Headway(min(own.time, max((gap - minimum) / max(min(v, ahead.v), 1.0), SHORTEST_TIME)), minimum)
 
 
 def relaxed(headway: Headway, own: Headway, dt: float) -> Headway:
     """The headway `dt` [s] later: nearer to the driver's own."""
     return Headway(min(headway.time + TIME_RATE * dt, own.time), min(headway.gap + GAP_RATE * dt, own.gap))
-
-
-def required_braking(v: float, ahead: Ahead | None) -> float:
-    """The constant braking [m/s²] with which a vehicle at the speed `v` [m/s] stays behind the one ahead.
-
-    The vehicle ahead goes on braking as now, to a standstill. Infinite where both touch.
-    """
-    if ahead is None:
-        return 0.0
-    if ahead.gap < TOUCHING:
-        return math.inf
-    room = max(ahead.gap - CLEARANCE, 0.5 * ahead.gap)
-    closing, braking = v - ahead.v, max(-ahead.a, 0.0)
-    if closing > 0 and 2 * room * braking < closing * ahead.v:  # equally fast before the one ahead stands
-        return braking + closing**2 / (2 * room)
-    stopping_distance = 0.0 if ahead.v == 0 else ahead.v**2 / (2 * braking) if braking > 0 else math.inf
-    return v**2 / (2 * (room + stopping_distance))
 
 
 def wanted_acceleration(v: float, limit: float, acceleration: float, headway: Headway, ahead: Ahead | None) -> float:

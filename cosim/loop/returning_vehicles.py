@@ -11,7 +11,8 @@ import numpy as np
 
 from cosim.loop import gradual_hand_back as plan
 from cosim.loop import shadow_vehicles
-from cosim.loop.gradual_hand_back import Ahead, Drift, Headway, Stop
+from cosim.loop.gradual_hand_back import Drift, Stop
+from cosim.measures.following import CLEARANCE, TOUCHING, Ahead, Headway, found, required_braking
 from cosim.sumo import Sumo
 from cosim.world.groups import MergeLanes
 from cosim.world.road_frame import RoadFrame
@@ -100,21 +101,21 @@ class ReturningVehicles:
         leader, gap = drivers.leader(vehicle) or ("", math.inf)
         ahead = Ahead(gap, *drivers.motion(leader)) if leader else None
         if ahead is not None and leader != state.leader:
-            headway = plan.found(headway, v, ahead)
+            headway = found(headway, v, ahead)
         if time > max(plan.DURATION, state.drift.duration) and headway == state.own:
             del self._returns[vehicle]
             world.release(vehicle)
             return
-        limit, required = drivers.allowed_speed(vehicle), plan.required_braking(v, ahead)
+        limit, required = drivers.allowed_speed(vehicle), required_braking(v, ahead)
         wanted = plan.wanted_acceleration(v, limit, state.acceleration, headway, ahead)
         if state.must_leave:  # SUMO's driver would brake for the end of its lane late and at once
             end = Ahead(drivers.way_in_lane(vehicle), 0.0, 0.0)
-            for_the_end = plan.wanted_acceleration(v, limit, state.acceleration, Headway(0.0, plan.CLEARANCE), end)
-            wanted, required = min(wanted, for_the_end), max(required, plan.required_braking(v, end))
+            for_the_end = plan.wanted_acceleration(v, limit, state.acceleration, Headway(0.0, CLEARANCE), end)
+            wanted, required = min(wanted, for_the_end), max(required, required_braking(v, end))
         beside = _in_way_of_drift(now, row, state.drift, state.time, leader)  # SUMO's driver does not see it
-        if beside is not None and beside.gap > plan.TOUCHING:
-            for_it = plan.wanted_acceleration(v, limit, state.acceleration, plan.found(headway, v, beside), beside)
-            wanted, required = min(wanted, for_it), max(required, plan.required_braking(v, beside))
+        if beside is not None and beside.gap > TOUCHING:
+            for_it = plan.wanted_acceleration(v, limit, state.acceleration, found(headway, v, beside), beside)
+            wanted, required = min(wanted, for_it), max(required, required_braking(v, beside))
         elif beside is not None:
             wanted = min(wanted, -plan.FIRM)
         a = plan.next_acceleration(state.a if state.time == 0 else float(now.a[row]), wanted, required, dt)

@@ -207,4 +207,34 @@ class SumoControl:
         """Show nothing to any policy."""
 
 
+@dataclass(frozen=True)
+class SumoDriverControl(SumoControl):
+    """SUMO's drivers in the place of recorded ones, from the take-over on; they keep their lanes."""
+
+    round: Round
+
+    def take_over(self, world: Sumo, recorder: RoundRecorder, time: float) -> None:
+        """Give the driven vehicles of all groups to SUMO's drivers."""
+        for g in recorder.active:
+            vehicles = self.round.driven_ids(g)
+            for vehicle in vehicles:
+                world.release(vehicle)
+                world.forbid_lane_changes(vehicle)
+            recorder.add(g, Event(time, EventKind.TAKEN, vehicles))
+
+    def hand_back(
+        self,
+        world: Sumo,
+        road: RoadFrame,
+        recorder: RoundRecorder,
+        observation: GroupObservation,
+        now: Snapshot,
+        ended: Set[int],
+    ) -> None:
+        """Take note of the end; SUMO's drivers go on."""
+        for g in sorted(ended):
+            event = Event(observation.time, EventKind.HANDED_BACK, self.round.driven_ids(g), recorder.endings[g].value)
+            recorder.add(g, event)
+
+
 Control = PolicyControl | SumoControl

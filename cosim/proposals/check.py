@@ -62,7 +62,7 @@ def _policy(scenario: Scenario) -> Finding:
         driver = driver_of(scenario)
     except InputError as error:
         return Finding(Verdict.ERROR, str(error))
-    if driver is None:
+    if driver is None or driver.policy is None:
         return Finding(Verdict.OK, "policy: SUMO drives the groups")
     return Finding(
         Verdict.OK, f"policy: {name} fits and acts every {driver.policy.dt:g} s, SUMO every {scenario.step:g} s"

@@ -30,6 +30,8 @@ def driver_of(scenario: spec.Scenario, own: Policy | None = None) -> Driver | No
     if own is not None:
         check_fit(own, scenario)
     policy = own or policy_of(scenario)
+    if own is None and isinstance(scenario.policy, spec.SumoDriver):
+        return Driver(_models(scenario.traffic), None)
     if policy is None:
         return None
     name = _name(scenario.policy, policy)
@@ -45,6 +47,11 @@ def driver_of(scenario: spec.Scenario, own: Policy | None = None) -> Driver | No
         safety=scenario.safety,
         predicts=scenario.predictor != "none",
     )
+
+
+def _models(traffic: spec.Traffic) -> str:
+    """The names of the car-following models of the traffic's drivers, such as EIDM."""
+    return "+".join(sorted({str(kind.car_following) for kind in traffic.vehicles}))
 
 
 def _with_meaning(source: spec.GraphSource, name: str) -> spec.GraphSource:
@@ -79,7 +86,7 @@ def policy_of(scenario: spec.Scenario) -> Policy | None:
     in_lane = isinstance(scenario.group, spec.CarFollowing)
     period = scenario.policy_period or scenario.step
     match scenario.policy:
-        case spec.LeftToSumo():
+        case spec.LeftToSumo() | spec.SumoDriver():
             return None
         case spec.Idm() | spec.R157() | spec.CarefulHuman() | spec.Fsm() | spec.Rss() as kind:
             alone = isinstance(kind, spec.Idm) and kind.sees == "group"

@@ -14,6 +14,7 @@ from cosim.runs.run_reading import TABLES, read_tables
 from cosim.runs.summary import summary
 from cosim.runs.surroundings_table import read_surroundings
 from cosim.world.backlog import MANY_WAITING
+from cosim.world.episode import EventKind
 from cosim.world.group_search import why_not_more
 from cosim.world.outcome_columns import group_size
 from gri.errors import InputError
@@ -55,6 +56,28 @@ class Run:
             f"{event['driver']}: group {str(event['vehicles']).replace(' ', ', ')} at t = {event['time']:.1f} s:"
             f" {event['detail']}"
             for event in failed
+        ]
+
+    @property
+    def releases(self) -> pd.DataFrame:
+        """Recorded vehicles that were released to car following: episode, time, vehicle, and `after` the take-over [s].
+
+        No rows unless the scenario replays a recording with `react`.
+        """
+        events = self.events[(self.events["kind"] == EventKind.RELEASED.value) & ~self.events["counterpart"]]
+        begin = self.groups.set_index("episode")["takeover_time"]
+        found = events[["episode", "time", "vehicles"]].rename(columns={"vehicles": "vehicle"})
+        return found.assign(after=found["time"] - found["episode"].map(begin)).reset_index(drop=True)
+
+    def notes(self) -> list[str]:
+        """What the summary does not say: how many recorded vehicles were released, and when."""
+        released = self.releases
+        if not len(released):
+            return []
+        return [
+            f"{len(released)} recorded vehicles behind driven ones were released to car following, in"
+            f" {released['episode'].nunique()} of {len(self.groups)} groups, {released['after'].min():.1f} to"
+            f" {released['after'].max():.1f} s after the take-over (table events)"
         ]
 
     def summary(self) -> pd.DataFrame:

@@ -156,6 +156,7 @@ def _rows_of_round(
             def effect(part: _Repeated, g: int = g, j: int = j, steps: int = steps) -> float:
                 return float(as_it_was.speed[g, steps, j] - part.speed[g, steps, j]) / (steps * short.dt)
 
+            assert driver.policy is not None, "SUMO's drivers have no graph"
             stated = 0.0 if kind is None else effect_since_takeover(replay, driver.policy, i, j, steps)
             yield {
                 "episode": view.number,

@@ -51,6 +51,13 @@ class LeftToSumo(Spec, frozen=True, kw_only=True, tag_field="kind", tag="sumo"):
     """No take-over: SUMO drives the group (null run)."""
 
 
+class SumoDriver(Spec, frozen=True, kw_only=True, tag_field="kind", tag="sumo_driver"):
+    """In a replay: SUMO's drivers, as `traffic` describes them, drive the group instead of its recording.
+
+    They keep their lanes. Vehicle classes with `car_following: EIDM` or `IDM` make them drive by these models.
+    """
+
+
 class UserPolicy(Spec, frozen=True, kw_only=True, tag_field="kind", tag="python"):
     """A policy of the user: `object` is "file.py:Name" or "package.module:Name".
 
@@ -67,7 +74,19 @@ class UserPolicy(Spec, frozen=True, kw_only=True, tag_field="kind", tag="python"
 
 
 ReferencePolicy = R157 | CarefulHuman | Fsm | Rss
-Driver = TrainedPolicy | Idm | ConstantVelocity | R157 | CarefulHuman | Fsm | Rss | LeftToSumo | UserPolicy | SumoModel
+Driver = (
+    TrainedPolicy
+    | Idm
+    | ConstantVelocity
+    | R157
+    | CarefulHuman
+    | Fsm
+    | Rss
+    | LeftToSumo
+    | SumoDriver
+    | UserPolicy
+    | SumoModel
+)
 
 
 class RssFilter(Spec, frozen=True, kw_only=True, tag_field="kind", tag="rss"):

@@ -39,6 +39,7 @@ from cosim.spec.policies import Idm as Idm
 from cosim.spec.policies import LeftToSumo as LeftToSumo
 from cosim.spec.policies import ReferencePolicy as ReferencePolicy
 from cosim.spec.policies import Rss as Rss
+from cosim.spec.policies import SumoDriver as SumoDriver
 from cosim.spec.policies import TrainedPolicy as TrainedPolicy
 from cosim.spec.shares import check_shares
 from cosim.spec.sumo_models import SumoModel as SumoModel
@@ -126,12 +127,25 @@ class Replay(Spec, frozen=True, kw_only=True, tag_field="kind", tag="replay"):
     line is at d_m = −`lane_1` [m] (NGSIM: Local_X), the centre of the leftmost lane. `flows` maps a lane's number to a
     flow: a vehicle that is first recorded in this lane gets the route and class of the flow, any other vehicle those of
     the first flow. SUMO uses them after the hand-back.
+
+    Where a recording has no lateral positions, vehicles are put on the centres of their lanes, `lane_width` [m] apart,
+    and change lanes gradually; where it has no lengths, all have `vehicle_length` [m]. Without these two such a
+    recording is refused.
+
+    With `react`, a recorded vehicle behind a driven one is released to SUMO's car following, on its recorded path,
+    where it would otherwise have to brake with 2 m/s² or more to stay behind (docs/replay.md). With `overlap`, a
+    round begins every second, whether or not earlier ones go on: each is driven in a branch of its own, and the
+    recording is the same in all. So a short recording gives more groups.
     """
 
     recording: Annotated[str, Meta(max_length=1000)] = ""
     lane_1: Position
     entry: Position = 0.0
     flows: dict[int, str] = field(default_factory=dict)
+    lane_width: Annotated[float, Meta(ge=2, le=6)] | None = None
+    vehicle_length: Annotated[float, Meta(ge=1, le=30)] | None = None
+    react: bool = False
+    overlap: bool = False
 
 
 Background = SimulatedTraffic | Replay
@@ -247,6 +261,13 @@ class Scenario(Spec, frozen=True, kw_only=True):
         check_roles(self.group.size, self.driven_roles, edges, self.perturbations)
         if self.traffic.has_own_files:
             self._check_own_files()
+        if isinstance(self.policy, SumoDriver) and not (
+            isinstance(self.background, Replay) and isinstance(self.group, CarFollowing)
+        ):
+            raise ValueError(
+                "policy is sumo_driver, which takes the place of recorded drivers in one lane; expected a background of"
+                " kind replay and a group of rule car_following, or policy: {kind: sumo}"
+            )
         check_shares(self, isinstance(self.background, Replay))
         self._check_held_speed()
         for name in ("policy_period", "history", "horizon", "watch", "rest", "reinfer_s"):

@@ -191,9 +191,17 @@ class Sumo:
         return vehicle in self._modes and vehicle not in self._returning
 
     def add(self, vehicle: str, route: str, kind: str, length: float, width: float, speed: float) -> None:
-        """Add a vehicle of the type `kind` [m, m/s]; it enters the net where its first command puts it."""
+        """Add a vehicle of the type `kind` [m, m/s]; it enters the net where its first command puts it.
+
+        A driver who is found faster than it would want to drive wants that speed, as SUMO lets it depart only then.
+        """
         self._known.can_be_kept = False  # it is on the net from its first command on, without having departed
-        libsumo.vehicle.add(vehicle, route, kind, departSpeed=f"{speed:.3f}")
+        try:
+            libsumo.vehicle.add(vehicle, route, kind, departSpeed=f"{speed:.3f}")
+        except libsumo.TraCIException:
+            libsumo.vehicle.add(vehicle, route, kind, departSpeed="0")
+            limit = libsumo.lane.getMaxSpeed(f"{libsumo.vehicle.getRoute(vehicle)[0]}_0")
+            libsumo.vehicle.setSpeedFactor(vehicle, max(libsumo.vehicle.getSpeedFactor(vehicle), speed / limit))
         libsumo.vehicle.setLength(vehicle, length)
         libsumo.vehicle.setWidth(vehicle, width)
 
@@ -275,6 +283,10 @@ class Sumo:
         libsumo.vehicle.setSpeed(vehicle, _OWN_SPEED)
         libsumo.vehicle.setSpeedMode(vehicle, speed_mode)
         libsumo.vehicle.setLaneChangeMode(vehicle, lane_change_mode)
+
+    def forbid_lane_changes(self, vehicle: str) -> None:
+        """Let SUMO's driver of a vehicle keep its lane from now on."""
+        libsumo.vehicle.setLaneChangeMode(vehicle, _NO_CHANGES)
 
     def speeds(self, vehicles: Iterable[str]) -> dict[str, float]:
         """Speeds [m/s] of those of the vehicles that are in the simulation."""

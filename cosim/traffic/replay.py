@@ -1,46 +1,22 @@
 """A recording as the surrounding traffic: every vehicle moves as it was recorded, until a policy drives it.
 
-`recorded_tracks` reads the recording. A vehicle that a policy drove and handed back stays with SUMO's driver.
+`recorded_tracks` reads the recording. A vehicle that a policy drove and handed back stays with SUMO's driver. Where the
+scenario says so, those behind react (`reacting_vehicles`).
 """
 
 from collections import defaultdict
-from dataclasses import dataclass
 from zlib import crc32
 
 import numpy as np
-from jaxtyping import Float
 from msgspec.structs import replace
 
 from cosim.spec.demand import Flow, Traffic
 from cosim.spec.scenario import Replay
 from cosim.sumo import Sumo
+from cosim.traffic.reacting_vehicles import ReactingVehicles, Release
+from cosim.traffic.recorded_track import RecordedTrack
 from cosim.world.road_frame import RoadFrame
 from gri.errors import InputError
-
-
-@dataclass(frozen=True)
-class RecordedTrack:
-    """One recorded vehicle in the road frame: one value per simulation step from `first_step` on.
-
-    `s` and `d` [m] are the front bumper's coordinates, `heading` [rad] is relative to the road, `v` is in m/s.
-    """
-
-    name: str
-    lane: int
-    """Number of the lane in which the vehicle appears first."""
-    truck: bool
-    length: float
-    width: float
-    first_step: int
-    s: Float[np.ndarray, " K"]
-    d: Float[np.ndarray, " K"]
-    heading: Float[np.ndarray, " K"]
-    v: Float[np.ndarray, " K"]
-
-    @property
-    def last_step(self) -> int:
-        """The last step at which the vehicle is present."""
-        return self.first_step + len(self.s) - 1
 
 
 def without_demand(traffic: Traffic) -> Traffic:
@@ -72,6 +48,12 @@ class RecordedVehicles:
             self._starting[track.first_step].append(track)
         self._present: list[RecordedTrack] = []
         self._steps = 0
+        self._reacting = ReactingVehicles(world, road, tracks, step) if background.react else None
+
+    @property
+    def releases(self) -> tuple[Release, ...]:
+        """The vehicles that were released to car following, in the order of time; none where nobody is to react."""
+        return () if self._reacting is None else tuple(self._reacting.releases)
 
     def present_for(self, duration: float) -> frozenset[str]:
         """The vehicles whose recording lasts for at least `duration` [s] more."""
@@ -83,15 +65,18 @@ class RecordedVehicles:
 
         A vehicle that has a command already, from a policy, is left alone.
         """
+        reacting = self._reacting
+        now = None if reacting is None else reacting.look([t for t in self._present if not self._is_recorded(t.name)])
         self._steps += 1
         for track in self._starting.pop(self._steps, ()):
             self._insert(track)
+        before = {track.name for track in self._present if self._world.is_taken(track.name)}
         self._present = [track for track in self._present if self._stays(track)]
-        rows = [
-            (track, self._steps - track.first_step)
-            for track in self._present
-            if not self._world.is_commanded(track.name)
-        ]
+        recorded = [track for track in self._present if not self._world.is_commanded(track.name)]
+        if reacting is not None and now is not None:
+            left = before - {track.name for track in self._present}
+            recorded = reacting.move(now.only(np.array([v not in left for v in now.ids])), self._steps, recorded)
+        rows = [(track, self._steps - track.first_step) for track in recorded]
         if not rows:
             return
         s, d, heading, v = (np.array([getattr(track, n)[k] for track, k in rows]) for n in ("s", "d", "heading", "v"))
@@ -112,11 +97,18 @@ class RecordedVehicles:
         self._world.take(track.name)
         self._present.append(track)
 
+    def _is_recorded(self, vehicle: str) -> bool:
+        """Whether the recording moves the vehicle in the coming step: no policy commands it, SUMO does not drive it."""
+        return self._world.is_taken(vehicle) and not self._world.is_commanded(vehicle)
+
     def _stays(self, track: RecordedTrack) -> bool:
         """Whether the vehicle still moves as recorded or as a policy commands; removes it at the end of its track."""
         if self._world.is_commanded(track.name):
             return True
-        if self._world.is_taken(track.name) and self._steps > track.last_step:
+        last = track.last_step
+        if self._reacting is not None and self._reacting.has_released(track.name):
+            last = self._reacting.last_step(track)
+        if self._world.is_taken(track.name) and self._steps > last:
             self._world.remove(track.name)
         return self._world.is_taken(track.name)
 

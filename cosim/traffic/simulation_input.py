@@ -13,7 +13,8 @@ from cosim.spec.scenario import Replay, Scenario
 from cosim.spec.sumo_configuration import configuration
 from cosim.spec.work import refuse_too_much
 from cosim.traffic.additional_file import without_outputs
-from cosim.traffic.replay import RecordedTrack, without_demand
+from cosim.traffic.recorded_track import RecordedTrack
+from cosim.traffic.replay import without_demand
 from cosim.traffic.route_file import arguments, route_file, sign_file
 from gri.errors import InputError
 

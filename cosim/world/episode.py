@@ -113,6 +113,7 @@ class EventKind(StrEnum):
     VANISHED = "vanished"  # a commanded vehicle is no longer in the simulation
     TELEPORT = "teleport"
     HARD_BRAKING = "hard_braking"  # after the hand-back
+    RELEASED = "released"  # a recorded vehicle, to car following behind a driven vehicle or another released one
     POLICY_FAILED = "policy_failed"  # the time is that of the decision, the detail says what was wrong
 
 
