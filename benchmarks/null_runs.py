@@ -165,6 +165,10 @@ def append(path: Path, rows: list[Mapping[str, Any]]) -> None:
         pd.concat([*known, pd.DataFrame(rows)], ignore_index=True).round(3).to_csv(path, index=False)
 
 
+def _scenario(name: str, seed: int, settings: list[str]) -> Scenario:
+    return msgspec.structs.replace(load_scenario(name, settings=settings), seed=seed)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--scenarios", nargs="+", default=list(SCENARIOS))
@@ -173,18 +177,24 @@ def main() -> None:
     parser.add_argument("--rows", type=Path, default=Path("docs/results/null_runs.csv"))
     parser.add_argument("--brakings", type=Path, default=Path("docs/results/null_run_brakings.csv"))
     parser.add_argument("--page", type=Path, default=Path("docs/lively-traffic.md"))
+    parser.add_argument("--set", nargs="*", default=[], help="changes of fields; give --rows and --brakings as well")
     options = parser.parse_args()
     for seed in range(1, options.seeds + 1):
         for name in options.scenarios:
             rows = pd.read_csv(options.rows) if options.rows.is_file() else pd.DataFrame({"scenario": [], "seed": []})
             if len(rows[(rows["scenario"] == name) & (rows["seed"] == seed)]):
                 continue
-            row, brakings = null_run(msgspec.structs.replace(load_scenario(name), seed=seed), options.minutes)
+            row, brakings = null_run(
+                msgspec.structs.replace(load_scenario(name, settings=options.set), seed=seed), options.minutes
+            )
             which = {"scenario": name, "seed": seed}
             append(options.brakings, [which | braking for braking in brakings])
             append(options.rows, [which | row])
             print(f"{name}, seed {seed}: {row}", flush=True)
-    write_page(options.page, options.rows, options.brakings)
+    if options.set:
+        print(markdown_table(HEAD, list(lines(pd.read_csv(options.rows), pd.read_csv(options.brakings)))))
+    else:
+        write_page(options.page, options.rows, options.brakings)
 
 
 if __name__ == "__main__":

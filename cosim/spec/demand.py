@@ -169,7 +169,9 @@ class Bottleneck(Spec, frozen=True, kw_only=True):
 
     The last limit continues. `density_response` is by how much per cent the density in the study area rises where that
     in the queue rises by one; above 1 where the queue covers only a part of the study area, because a denser queue is
-    longer, too. `denser_traffic` uses it. With `fluctuation`, `pulses` or `hold` the limits change every second.
+    longer, too. `denser_traffic` uses it. With `fluctuation`, `pulses` or `hold` the limits change every second, at
+    once; with `changes: gradual` they move from one value to the next in every step of that second, so that no vehicle
+    meets in one step what its limit fell in a second.
     """
 
     lanes: Annotated[tuple[Place, ...], Meta(min_length=1)]
@@ -178,6 +180,7 @@ class Bottleneck(Spec, frozen=True, kw_only=True):
     fluctuation: Fluctuation | None = None
     pulses: Pulses | None = None
     hold: Hold | None = None
+    changes: Literal["at_once", "gradual"] = "at_once"
 
     @property
     def moves(self) -> bool:

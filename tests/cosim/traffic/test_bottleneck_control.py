@@ -18,8 +18,11 @@ SECONDS = 40
 HOLD = Hold(edges=("upstream",), mean_speed=(5.0,), window=5.0, delay=2.0, start=10.0)
 
 
-def limits_over_time(folder: Path, seconds: int = SECONDS, **parts: object) -> np.ndarray:
-    """The limits of the bottleneck's lanes after each second of a simulation whose bottleneck has these parts."""
+def limits_over_time(folder: Path, seconds: int = SECONDS, every: int = 5, **parts: object) -> np.ndarray:
+    """The limits of the bottleneck's lanes after every fifth step (each second, or after as many steps as told).
+
+    The bottleneck of the simulation has these parts.
+    """
     scenario = load_scenario("us101_car_following")
     bottleneck = scenario.traffic.bottleneck
     assert bottleneck is not None
@@ -29,8 +32,8 @@ def limits_over_time(folder: Path, seconds: int = SECONDS, **parts: object) -> n
     inputs.write()
     found = []
     with simulation(inputs) as running:
-        for _ in range(seconds):
-            for _ in range(5):
+        for _ in range(seconds * 5 // every):
+            for _ in range(every):
                 running.world.step()
             found.append(running.world.net.limits(moving.lanes))
     return np.array(found)
@@ -45,6 +48,17 @@ def test_limits_fluctuate_and_pulse_as_computed(tmp_path):
     wanted = np.minimum(base_limits(moving, 300.0, 1, 60.0), pulse_limits(moving, 1, 60.0))[:SECONDS]
     assert found == pytest.approx(wanted)
     assert found[20, 4] == pytest.approx(0.6)
+
+
+def test_gradual_limits_move_in_every_step_and_reach_each_value_a_second_later(tmp_path):
+    parts = {"fluctuation": Fluctuation(sd=0.5), "hold": HOLD}
+    at_once = limits_over_time(tmp_path, **parts)
+    gradual = limits_over_time(tmp_path, every=1, changes="gradual", **parts)
+    np.testing.assert_allclose(gradual[4::5][:10], at_once[:10])  # until feedback begins, which sees other traffic
+    within = gradual[:50].reshape(10, 5, -1)
+    steps = np.diff(within[1:], axis=1)
+    np.testing.assert_allclose(steps, steps[:, :1].repeat(4, axis=1), atol=1e-9)  # evenly
+    assert np.abs(np.diff(gradual, axis=0)).max() < 0.5 * np.abs(np.diff(at_once, axis=0)).max()
 
 
 def test_feedback_lowers_the_limits_of_traffic_that_is_too_fast(tmp_path):
