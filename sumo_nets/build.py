@@ -14,7 +14,7 @@ import tempfile
 from pathlib import Path
 
 HERE = Path(__file__).parent
-SITES = ("us101", "i80", "curved")
+SITES = ("us101", "i80", "curved", "highway")
 OPTIONS = (
     "--no-internal-links",  # no lanes inside junctions: every metre of the road belongs to one of our edges
     "--default.junctions.radius=0",  # else x jumps by 3 to 8 m where the number of lanes changes

@@ -95,6 +95,23 @@ def test_the_bend_is_built_of_its_sources_and_has_its_radius() -> None:
         assert radius == pytest.approx([600 + 3.5 * (k + 0.5)] * len(radius), abs=0.03)
 
 
+def test_the_plain_freeway_is_built_of_its_sources_and_straight() -> None:
+    build = load_build()
+    if build.find_netconvert() is None:
+        pytest.skip("netconvert is not installed (pip install eclipse-sumo)")
+    path = NETS / "highway" / "highway.net.xml"
+    assert build.build("highway") == path.read_text(encoding="utf-8")
+    net = sumolib.net.readNet(str(path))
+    road = [net.getEdge(name) for name in ("upstream", "entry", "merge", "exit", "downstream")]
+    assert [span(edge) for edge in road] == [(-500, 0), (0, 300), (300, 600), (600, 1200), (1200, 1700)]
+    assert [edge.getLaneNumber() for edge in road] == [3, 3, 4, 3, 3]
+    for edge in road:
+        assert [lane.getShape()[0][1] for lane in reversed(edge.getLanes())][:3] == [-1.8, -5.4, -9.0]
+        assert all(lane.getShape()[0][1] == lane.getShape()[-1][1] for lane in edge.getLanes())
+    assert {lane.getID() for lane in net.getLane("merge_0").getIncoming()} == {"on_ramp_0"}
+    assert not net.getLane("merge_0").getOutgoing(), "vehicles must leave the acceleration lane"
+
+
 def test_a_missing_netconvert_is_one_clear_line(monkeypatch: pytest.MonkeyPatch) -> None:
     build = load_build()
     monkeypatch.setattr(build, "find_netconvert", lambda: None)

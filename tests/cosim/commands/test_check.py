@@ -29,6 +29,14 @@ def test_what_fits_and_what_does_not(tmp_path: Path) -> None:
     assert "error group.zone: got [5.0, 90.0], but the lane is at s = 402 to 697 m" in " ".join(wrong.output.split())
 
 
+@pytest.mark.parametrize("name", ["highway", "highway_merge"])
+def test_everything_fits_in_the_scenarios_of_the_plain_freeway(name: str) -> None:
+    done = CliRunner().invoke(app, ["check", name])
+    assert done.exit_code == 0, done.output
+    assert not {"warning", "error"} & {line.partition(" ")[0] for line in done.output.splitlines()}, done.output
+    assert "straight" in done.output
+
+
 def test_a_net_without_lanes_in_its_nodes_is_told(tmp_path: Path) -> None:
     """At the end of the lane that ends, the node is 8 m long: a driven vehicle is on no lane there."""
     for options, told in (((), False), (("--no-internal-links",), True)):

@@ -207,6 +207,7 @@ def test_a_traffic_without_groups_is_an_input_error(merge_scenario):
 def test_every_shipped_scenario_is_registered():
     names = {name for name in gymnasium.registry if name.startswith("cosim/")}
     assert {"cosim/us101_merge-v1", "cosim/us101_car_following-v1", "cosim/i80_merge-v1", "cosim/scenario-v1"} <= names
+    assert {"cosim/highway-v1", "cosim/highway_merge-v1"} <= names
 
 
 @pytest.mark.slow

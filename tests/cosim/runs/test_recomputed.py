@@ -21,7 +21,15 @@ shapely = pytest.importorskip("shapely", reason="shapely is in the extra `test`"
 pytestmark = pytest.mark.usefixtures("forked_workers")
 AFTERMATH = 10.0  # [s] after the hand-back in which contacts count
 MEMBERS = ("0", "1", "2")
-SHIPPED = ("us101_car_following", "us101_merge", "i80_car_following", "i80_merge", "curved_merge")
+SHIPPED = (
+    "us101_car_following",
+    "us101_merge",
+    "i80_car_following",
+    "i80_merge",
+    "curved_merge",
+    "highway",
+    "highway_merge",
+)
 NETS = Path(__file__).parents[3] / "sumo_nets"
 RECORDING = Path(os.environ.get("NGSIM_US101", "/nowhere"))
 

@@ -22,3 +22,15 @@ def test_null_run_has_no_collision_and_no_teleport(name, tmp_path):
     ahead = result.samples.sort_values(["time", "lane", "x"])
     same = (ahead["time"].diff() == 0) & (ahead["lane"].diff() == 0)
     assert (ahead["x"].diff()[same] > ahead["length"][same]).all()  # nobody stands in the one behind
+
+
+def test_the_plain_freeway_flows_freely_without_collision_and_teleport(tmp_path):
+    scenario = load_scenario("highway")
+    scenario = msgspec.structs.replace(scenario, traffic=msgspec.structs.replace(scenario.traffic, warm_up=120.0))
+    net = shipped("sumo_nets", "highway", "highway.net.xml")
+    result = survey(scenario, SumoFiles(net, tmp_path / "r.rou.xml", tmp_path / "log"), 60.0, lambda *_: None)
+    assert result.collisions == result.teleports == 0
+    assert set(result.samples["lane"]) == {1, 2, 3, 4}
+    assert 22 < result.samples["v"].mean() < 25  # the limit is 25 m/s
+    assert result.samples["v"].min() > 8
+    assert result.samples["vehicle"].nunique() > 80
