@@ -21,6 +21,12 @@ def realism(
         Path | None,
         typer.Option(help="A recording of any layout (docs/recordings.md), a scene file, or a table of samples."),
     ] = None,
+    counterparts: Annotated[
+        bool,
+        typer.Option(
+            "--counterparts", help="Compare the driven groups of a run with the same groups without the policy."
+        ),
+    ] = False,
     test: Annotated[
         Path | None, typer.Option(help="A recording to score the traffic with, instead of --against.")
     ] = None,
@@ -58,16 +64,16 @@ def realism(
     """
     from cosim.runs.run_folder import next_folder, run_folder
 
-    if (against is None) == (test is None):
-        raise InputError("--against and --test: expected one of both, the recording; see docs/realism.md")
+    if (against is not None) + (test is not None) + counterparts != 1:
+        raise InputError("--against, --test and --counterparts: expected one of them; see docs/realism.md")
     if test is not None:
         sought = _Score(test, fit, offset, seeds, views, seed, duration, settings or [], lane_numbers(lanes))
         return _score(subject, sought, out or next_folder(Path("runs"), f"{Path(subject).stem}-score"), table_format)
     if fit is not None:
         raise InputError("--fit: is for --test; leave it out, or give --test")
-    assert against is not None
-
     is_run = Path(subject, "steps.parquet").is_file()
+    if counterparts and not is_run:
+        raise InputError(f"--counterparts: is for run folders, and {subject} is none; give --against, a recording")
     began = time.monotonic()
     if is_run and (stretch or settings or seed is not None):
         raise InputError(
@@ -79,11 +85,13 @@ def realism(
     with run_folder(folder) as partial:
         from cosim.studies.traffic_samples import recorded_samples
 
-        recorded = recorded_samples(against)
         simulated = read(subject)
+        recorded = _without_policy(simulated, subject) if against is None else recorded_samples(against)
+        if against is None:
+            simulated = simulated[simulated["driver"] != recorded["driver"].iloc[0]]
         if stretch is not None:
             simulated = simulated[simulated["x"].between(*stretch)]
-        if chosen:
+        if chosen and against is not None:
             recorded = recorded[recorded["lane"].isin(chosen)]
             simulated = simulated if is_run else simulated[simulated["lane"].isin(chosen)]
         from cosim.studies.realism_report import write_realism_report
@@ -101,6 +109,14 @@ def _of_run(folder: str) -> "pd.DataFrame":
     from cosim.studies.traffic_samples import run_samples
 
     return run_samples(Path(folder))
+
+
+def _without_policy(samples: "pd.DataFrame", folder: str) -> "pd.DataFrame":
+    """The samples of a run that no policy drove."""
+    left = samples[samples["driver"].isin(["recorded", "sumo"])]
+    if left.empty or left["driver"].nunique() == samples["driver"].nunique():
+        raise InputError(f"{folder}: has no driven groups with counterparts to compare; drive by another policy")
+    return left
 
 
 def _of_scenario(name: str, seed: int | None, duration: float, settings: list[str]) -> "pd.DataFrame":

@@ -24,7 +24,8 @@ def draw_distributions(
     `curves` are sets of samples to draw with the recorded ones; `pairs` are simulated and recorded samples per lane or
     driver.
     """
-    shown = [q for q in QUANTITIES if all(q.name in t for t in curves.values()) and recorded[q.name].notna().any()]
+    tables = [*curves.values(), recorded]
+    shown = [q for q in QUANTITIES if all(q.name in table and len(_values(table, q)) for table in tables)]
     with matplotlib.rc_context({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False}):
         figure = Figure(figsize=(3.4 * len(shown), 6.4), layout="constrained")
         axes = figure.subplots(2, len(shown), squeeze=False)

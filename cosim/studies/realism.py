@@ -47,6 +47,9 @@ QUANTITIES = (
     Quantity("headway", "headway", "m", 0.0, 100.0, 1.0),
     Quantity("time_headway", "time headway", "s", 0.0, 10.0, 0.1),
     Quantity("time_gap", "time gap", "s", 0.0, 10.0, 0.1),
+    Quantity("gap", "gap", "m", 0.0, 100.0, 0.5),
+    Quantity("relative_speed", "relative speed", "m/s", -10.0, 10.0, 0.1),
+    Quantity("ttc", "time to collision", "s", 0.0, 60.0, 1.0),
 )
 
 

@@ -62,8 +62,18 @@ def recorded_samples(path: Path) -> pd.DataFrame:
 
 
 def run_samples(folder: Path) -> pd.DataFrame:
-    """Samples of vehicles 0 and 1 of a run during the drive; `driver` is the policy that drove them."""
-    steps = read_tables(folder)["steps"]
+    """Samples of vehicles 0 and 1 of a run during the drive; `driver` is the policy that drove them.
+
+    In car following they have `gap` [m], `relative_speed` [m/s] (above 0: the gap closes) and `ttc` [s] to the next
+    vehicle of the group.
+    """
+    tables = read_tables(folder)
+    steps = tables["steps"]
+    ahead = steps.groupby(["driver", "episode", "time"], sort=False)["v"].shift(-1)  # roles are in order
+    in_lane = bool((tables["groups"].get("rule", pd.Series(dtype=object)) == "car_following").all())
+    closing = steps["v"] - (ahead if in_lane else np.nan)
+    gap = steps["gap"].where(closing.notna() & (steps["gap"] > 0))
+    steps = steps.assign(relative_speed=closing, ahead=gap, closes_in=(gap / closing).where(closing > 0))
     steps = steps[steps["during_drive"] & steps["present"] & steps["role"].isin([0, 1])]
     step = steps["time"].drop_duplicates().sort_values().diff().min()
     tick = (steps["time"] / step).round().astype(int)
@@ -78,6 +88,9 @@ def run_samples(folder: Path) -> pd.DataFrame:
             "v": steps["v"],
             "a": steps["a"],
             "time_gap": seconds.where(seconds > 0),
+            "gap": steps["ahead"],
+            "relative_speed": steps["relative_speed"],
+            "ttc": steps["closes_in"],
         }
     )
 

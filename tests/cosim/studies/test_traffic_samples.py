@@ -90,10 +90,11 @@ def test_a_table_is_read_and_a_wrong_one_refused(tmp_path):
         recorded_samples(tmp_path / "text.parquet")
 
 
-def test_a_run_gives_the_driven_vehicles_once_a_second(tmp_path):
+def write_run(tmp_path, closing: float) -> None:
+    """A run of one group whose vehicles are each faster than the next one by `closing` [m/s], 20 m behind it."""
     times = np.round(600 + 0.2 * np.arange(11), 1)
     rows = [
-        (driver, t, role, f"v{role}", True, t > 600.5, 10.0, 0.5, 20.0 if role < 2 else np.nan)
+        (driver, t, role, f"v{role}", True, t > 600.5, 10.0 + closing * (2 - role), 0.5, 20.0 if role < 2 else np.nan)
         for driver in ("gri", "sumo")
         for t in times
         for role in range(3)
@@ -105,10 +106,24 @@ def test_a_run_gives_the_driven_vehicles_once_a_second(tmp_path):
         pd.DataFrame(columns=list(NEEDED.get(other, ("x",)))).to_parquet(tmp_path / f"{other}.parquet")
     (tmp_path / "scenario.json").write_text("{}")
     write_manifest(tmp_path, manifest({}, {}, tmp_path))
+
+
+def test_a_run_gives_the_driven_vehicles_once_a_second(tmp_path):
+    write_run(tmp_path, closing=0.0)
     found = run_samples(tmp_path)
     assert found.groupby("driver")["time"].unique().map(list).tolist() == [[601.0, 602.0]] * 2
     assert set(found["vehicle"]) == {"v0", "v1"}
     assert (found["time_gap"] == 2.0).all()
+    assert (found["gap"] == 20.0).all()
+    assert (found["relative_speed"] == 0.0).all()
+    assert found["ttc"].isna().all()
+
+
+def test_a_run_in_which_gaps_close_has_times_to_collision(tmp_path):
+    write_run(tmp_path, closing=2.0)
+    found = run_samples(tmp_path)
+    assert (found["relative_speed"] == 2.0).all()
+    assert (found["ttc"] == 10.0).all()
 
 
 def test_recordings_of_other_layouts_give_the_same_samples(tmp_path):

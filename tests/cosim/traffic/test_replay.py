@@ -8,11 +8,14 @@ import pandas as pd
 import pytest
 from msgspec.structs import replace
 
+import cosim
+from cosim.commands.realism import realism
 from cosim.process.fork import CAN_FORK
+from cosim.runs.policy_loading import driver_of
 from cosim.runs.run_tables import steps_table
 from cosim.runs.traffic_survey import survey
 from cosim.spec.loading import load_scenario, override, with_recording
-from cosim.spec.scenario import CarFollowing
+from cosim.spec.scenario import CarFollowing, SumoDriver
 from cosim.traffic.recorded_tracks import read_tracks
 from cosim.traffic.running_simulation import simulation
 from cosim.traffic.simulation_input import SumoFiles, prepare_simulation
@@ -138,6 +141,36 @@ def test_a_vehicle_that_was_handed_back_stays_with_sumo(outcome):
     assert np.abs(driven.feature("s")[after, 0] - left.feature("s")[after, 0]).min() > 0.1
 
 
+def test_sumos_drivers_take_the_place_of_recorded_ones(scenario, simulate):
+    """With headways of 3 s SUMO's drivers fall back behind their recorded places; they keep their lane."""
+    kinds = tuple(replace(kind, car_following="EIDM", imperfection=None, tau=3.0) for kind in scenario.traffic.vehicles)
+    chosen = replace(scenario, policy=SumoDriver(), traffic=replace(scenario.traffic, vehicles=kinds))
+    driver = driver_of(chosen)
+    assert (driver.name, driver.policy) == ("EIDM", None)
+    (driven,), (left,) = (lambda found: (found.episodes, found.left_to_sumo))(simulate(chosen, driver))
+    assert (driven.driver, left.driver) == ("EIDM", "recorded")
+    np.testing.assert_array_equal(driven.state[:, 2], left.state[:, 2])
+    way = driven.during_drive
+    np.testing.assert_allclose(left.feature("v")[way], 12.0, atol=1e-3)
+    assert (driven.feature("s")[way][-1, :2] < left.feature("s")[way][-1, :2] - 0.3).all()
+    assert np.ptp(driven.feature("d")[way], axis=0).max() < 0.1
+    with pytest.raises(ValueError, match="sumo_driver, which takes the place of recorded drivers"):
+        override(load_scenario("us101_car_following"), {"policy": {"kind": "sumo_driver"}})
+
+
+def test_driven_vehicles_are_compared_with_how_they_were_recorded(scenario, tmp_path):
+    done = cosim.run(replace(scenario, horizon=5.0), "constant_velocity", folder=tmp_path / "run")
+    realism(str(done.folder), counterparts=True, out=tmp_path / "compared")
+    found = pd.read_csv(tmp_path / "compared" / "distances.csv")
+    assert {"v", "gap", "relative_speed"} <= set(found["quantity"])
+    assert set(found["part"]) == {"constant velocity"}
+    assert found.set_index("quantity").loc["v", "wasserstein"] == pytest.approx(0.0, abs=0.3)
+    with pytest.raises(InputError, match="is for run folders"):
+        realism("us101_car_following", counterparts=True)
+    with pytest.raises(InputError, match="expected one of them"):
+        realism(str(done.folder), against=done.folder, counterparts=True)
+
+
 def test_contacts_are_seen_by_our_own_test(scenario, simulate):
     class RunsInto(ConstantVelocity):
         def act(self, memory, state):
@@ -173,6 +206,37 @@ def test_bad_recordings_are_refused(scenario, recording, tmp_path):
     flat.to_csv(tmp_path / "us-101.csv", index=False)
     with pytest.raises(InputError, match="no lateral positions"):
         read_tracks(with_recording(scenario, tmp_path / "us-101.csv").background, 0.2)
+
+
+def test_a_recording_without_places_and_sizes_is_put_on_lane_centres(scenario, tmp_path):
+    """One vehicle keeps lane 2 for 8 s, another changes from lane 2 to 1 after 4 s."""
+    time = np.round(np.arange(0.0, 8.05, 0.1), 1)
+    keeps = pd.DataFrame({"time_s": time, "vehicle_id": 1, "lane": 2, "s_m": 10.0 + 12.0 * time})
+    changes = keeps.assign(vehicle_id=2, s_m=keeps["s_m"] + 40.0, lane=np.where(time < 4.0, 2, 1))
+    pd.concat([keeps, changes]).to_csv(tmp_path / "tidy.csv", index=False)
+    background = replace(with_recording(scenario, tmp_path / "tidy.csv").background, lane_1=0.0)
+    with pytest.raises(InputError, match=r"no lateral positions, .*or background\.lane_width"):
+        read_tracks(background, 0.2)
+    with pytest.raises(InputError, match=r"no sizes of vehicles, .*or background\.vehicle_length"):
+        read_tracks(replace(background, lane_width=3.6), 0.2)
+    one, other = read_tracks(replace(background, lane_width=3.6, vehicle_length=4.8), 0.2)
+    np.testing.assert_allclose(one.d, -3.6)
+    np.testing.assert_allclose((other.d[0], other.d[-1]), (-3.6, 0.0), atol=1e-9)
+    assert (np.diff(other.d) >= -1e-9).all()
+    assert np.diff(other.d).max() <= 3.6 / 3.0 * 0.2 + 0.05  # three seconds from centre to centre
+    for track in (one, other):
+        assert (track.length, track.width) == pytest.approx((4.8, 1.8), abs=1e-6)
+
+
+def test_a_vehicle_faster_than_its_driver_would_be_is_replayed(scenario, tmp_path):
+    time = np.round(np.arange(0.0, 4.05, 0.1), 1)
+    table = pd.DataFrame({"time_s": time, "vehicle_id": 1, "lane": 1, "s_m": 10.0 + 45.0 * time})
+    table.to_csv(tmp_path / "tidy.csv", index=False)
+    background = replace(scenario.background, recording=str(tmp_path / "tidy.csv"), lane_width=3.6, vehicle_length=4.8)
+    files = SumoFiles(shipped("sumo_nets/us101/us101.net.xml"), tmp_path / "r.xml", tmp_path / "log")
+    result = survey(replace(scenario, background=background), files, 4.0, quiet)
+    assert result.samples["v"].tolist() == pytest.approx([45.0] * len(result.samples), abs=1e-3)
+    assert len(result.samples) >= 3
 
 
 def test_an_unknown_flow_is_refused(scenario, simulate):
