@@ -8,8 +8,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from gri.bench.merge_scenes import PAIRS, MergeScenes, V, X, Y
+from gri.bench.merge_scenes import PAIRS, MergeScenes
 from gri.core.edges import LANE_CHANGING
+from gri.relations.broken_merges import V, X, Y
 
 K, E = len(LANE_CHANGING), len(PAIRS)
 

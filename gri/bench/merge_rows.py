@@ -10,9 +10,10 @@ from torch import Tensor
 from gri import checkpoint
 from gri.bench.merge_classifier import K, frame_features, teach
 from gri.bench.merge_encoder import per_step, teach_encoder
-from gri.bench.merge_scenes import MergeScenes, Y
+from gri.bench.merge_scenes import MergeScenes
 from gri.core.edges import LANE_CHANGING
 from gri.data.recorded import with_vehicle_length
+from gri.relations.broken_merges import Y
 from gri.relations.merge_explanations import ALL_TERMS, CONSTANTS, Terms
 from gri.relations.merge_motion import NOMINAL_LENGTH
 from gri.relations.merge_posterior import learn_constants, relations, scene_graphs

@@ -14,10 +14,18 @@ from gri.core.dynamics import DUBINS
 from gri.core.edges import LANE_CHANGING, pairs
 from gri.data.scene_file.schema import opened, read_header
 from gri.errors import InputError
-from gri.relations.merge_motion import NOMINAL_LENGTH, MergeMotion, lane_width_of, motion_of
+from gri.relations.broken_merges import (
+    DEAF_LAG,
+    OTHER_LANE,
+    Impossible,
+    Merges,
+    apart,
+    kept_in_lane,
+    with_constant_speed,
+    with_stranger,
+)
+from gri.relations.merge_motion import MergeMotion, lane_width_of, motion_of
 
-MERGER, LAG, LEADER = 0, 1, 2
-X, Y, V = 0, 1, 2  # features of a state
 PAIRS = pairs(3)
 
 
@@ -114,61 +122,23 @@ class Control:
 
     name: str
     scenes: MergeScenes
-    impossible: tuple[tuple[tuple[int, int], tuple[int, ...]], ...]
-    """((i, j), types): relations of the pair i → j that no vehicle can have."""
+    impossible: Impossible
     after_change: bool = False
     """Whether only steps from the lane change on count."""
 
 
-ANY = (1, 2, 3)
-
-
 def controls(scenes: MergeScenes) -> list[Control]:
     """A stranger as lag vehicle; a lag vehicle at constant speed; the merging vehicle kept in its lane."""
-    lag_is_deaf = (((MERGER, LAG), ANY), ((LEADER, LAG), ANY), ((LAG, MERGER), (3,)))
-    kept = scenes.state.clone()
-    kept[:, MERGER, :, Y] = kept[:, MERGER, :1, Y]
-    other_lane = (((MERGER, LAG), (1,)), ((LAG, MERGER), (3,)))
-    return [
-        Control("a stranger as lag vehicle", _apart(_with_stranger(scenes)), lag_is_deaf),
-        Control("lag vehicle at constant speed", _apart(_with_constant_speed(scenes)), lag_is_deaf),
-        Control("merging vehicle kept in its lane", replace(scenes, state=kept), other_lane, after_change=True),
-    ]
-
-
-def _with_stranger(scenes: MergeScenes) -> MergeScenes:
-    """Vehicle 1 of another recording with the nearest mean speed, put where vehicle 1 was at first."""
-    mean = scenes.state[:, LAG, :, V].mean(-1)
-    far = (mean[:, None] - mean[None]).abs()
+    merges = Merges(scenes.state, scenes.length, scenes.lane_width, scenes.dt)
     codes = torch.from_numpy(np.unique(scenes.recording, return_inverse=True)[1])
-    same = codes[:, None] == codes[None] if len(set(codes.tolist())) > 1 else torch.eye(len(mean)).bool()
-    donor = far.masked_fill(same, torch.inf).argmin(-1)
-    return _with_lag_vehicle(scenes, scenes.state[donor, LAG], scenes.length[donor, LAG])
+    related = codes[:, None] == codes[None] if len(set(codes.tolist())) > 1 else torch.eye(len(codes)).bool()
 
+    def of(broken: Merges) -> MergeScenes:
+        return replace(scenes, state=broken.state, length=broken.length)
 
-def _with_constant_speed(scenes: MergeScenes) -> MergeScenes:
-    lag = scenes.state[:, LAG].clone()
-    lag[..., V] = lag[:, :1, V]
-    lag[..., V + 1 :] = 0.0
-    time = torch.arange(lag.shape[1], dtype=lag.dtype) * scenes.dt
-    lag[..., X] = lag[:, :1, X] + lag[:, :1, V] * time
-    return _with_lag_vehicle(scenes, lag, scenes.length[:, LAG])
-
-
-def _with_lag_vehicle(scenes: MergeScenes, lag: Tensor, length: Tensor) -> MergeScenes:
-    state, lengths, placed = scenes.state.clone(), scenes.length.clone(), lag.clone()
-    placed[..., X] += scenes.state[:, LAG, :1, X] - lag[:, :1, X]
-    placed[..., Y] = scenes.state[:, LAG, :, Y]
-    state[:, LAG], lengths[:, LAG] = placed, length
-    return replace(scenes, state=state, length=lengths)
-
-
-def _apart(scenes: MergeScenes) -> MergeScenes:
-    """Only scenes in which no two vehicles of one lane overlap."""
-    motion = scenes.motion()
-    length = torch.where(scenes.length > 0, scenes.length, NOMINAL_LENGTH)
-    good = torch.ones(len(scenes), dtype=torch.bool)
-    for other in (MERGER, LEADER):
-        gap = scenes.state[:, other, :, X] - scenes.state[:, LAG, :, X] - length[:, other, None]
-        good &= ~(motion.same_lane(other, LAG) & (gap < 0)).any(-1)
-    return scenes[torch.nonzero(good)[:, 0]]
+    stranger, constant = with_stranger(merges, related), with_constant_speed(merges)
+    return [
+        Control("a stranger as lag vehicle", of(stranger)[apart(stranger)], DEAF_LAG),
+        Control("lag vehicle at constant speed", of(constant)[apart(constant)], DEAF_LAG),
+        Control("merging vehicle kept in its lane", of(kept_in_lane(merges)), OTHER_LANE, after_change=True),
+    ]

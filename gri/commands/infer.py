@@ -7,7 +7,7 @@ import typer
 
 from gri import resources
 from gri.commands.models import one_thread, trained_with
-from gri.errors import InputError, guarded_reading
+from gri.errors import InputError
 from gri.storage.claims import claimed_place
 from gri.terminal import FormatOption, ProgressDisplay, say, show_tables
 
@@ -68,14 +68,9 @@ def infer(
 def _by_posterior(
     scene_file: Path, every_s: float, online: bool, kind: str, split: str | None, progress: "Progress"
 ) -> list["StepRelations"]:
-    import msgspec
+    from gri.inference.step_relations import by_merge_posterior, released_merge_constants
 
-    from gri.inference.step_relations import MergeConstants, by_merge_posterior
-
-    path = resources.PACKAGE / "checkpoints" / f"{POSTERIOR}.json"
-    with guarded_reading(path, "constants of merges", "install the package again"):
-        constants = msgspec.json.decode(path.read_bytes(), type=MergeConstants).constants
-    return by_merge_posterior(scene_file, constants, every_s, online, kind, split, progress)
+    return by_merge_posterior(scene_file, released_merge_constants(), every_s, online, kind, split, progress)
 
 
 def _by_checkpoint(

@@ -1,6 +1,6 @@
 """The commands about models: make scenes, train, evaluate."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
@@ -17,6 +17,7 @@ from gri.terminal import FormatOption, ProgressDisplay, next_command, notice, sa
 if TYPE_CHECKING:
     from gri.data.store import Splits
     from gri.evaluation.evaluate import Evaluation
+    from gri.networks.model import RelationalModel
     from gri.training.train import TrainConfig
     from gri.training.training_state import TrainingState
 
@@ -133,9 +134,18 @@ def teach(
         list[Path] | None,
         typer.Option(help="NGSIM files for contrastive teaching besides the drawn scenes; repeat for more."),
     ] = None,
-    updates: Annotated[int | None, typer.Option(min=1, help="Updates of the encoder; default: 12,000.")] = None,
+    merges: Annotated[
+        list[Path] | None,
+        typer.Option(
+            help="Scene files of `cosim scenes --kind merge` for a merge model: it learns the label-free posterior of"
+            " merges; repeat for more."
+        ),
+    ] = None,
+    updates: Annotated[
+        int | None, typer.Option(min=1, help="Updates of the encoder; default: 12,000, with --merges 3,500.")
+    ] = None,
 ) -> None:
-    """Teach a car-following model's encoder who reacts to whom.
+    """Teach a model's encoder who reacts to whom.
 
     Reward and policy stay as they are (docs/training.md). Ctrl-C stops after the update
     under way. The same command goes on from there, with the same result.
@@ -143,13 +153,38 @@ def teach(
     one_thread()
     from gri import checkpoint
     from gri.storage.claims import claimed_place
+
+    path = resources.find_checkpoint(path)
+    model, made = checkpoint.load(path), checkpoint.provenance(path)
+    config, kept = trained_with(path, made), out.with_suffix(".state")
+    with claimed_place(out):
+        if merges:
+            if recordings:
+                raise InputError("got --merges and --recordings, wanted one of them; merges are for merge models")
+            taught, how, state = _taught_merges(path, model, config, merges, seed, updates, kept)
+        else:
+            taught, how, state = _taught_following(path, model, config, recordings or (), seed, updates, scenes, kept)
+        checkpoint.save(out, taught, checkpoint.load_reward(path), {**made, "teaching": how})
+        state.finish()
+    say(f"taught in {how['cpu_seconds']} s of CPU, wrote {out}")
+    next_command(f"gri evaluate {out}")
+
+
+def _taught_following(
+    path: Path,
+    model: "RelationalModel",
+    config: "TrainConfig",
+    recordings: Sequence[Path],
+    seed: int,
+    updates: int | None,
+    scenes: Path,
+    kept: Path,
+) -> "tuple[RelationalModel, Mapping[str, Any], TrainingState]":
+    """A car-following model with a taught encoder, how it was taught, and the state that is kept in the file `kept`."""
     from gri.training.relations.teach_checkpoint import teach_model, teaching_identity
     from gri.training.relations.teach_encoder import TeachingSettings
     from gri.training.training_state import TrainingState
 
-    path = resources.find_checkpoint(path)
-    model, made = checkpoint.load(path), checkpoint.provenance(path)
-    config = trained_with(path, made)
     settings = TeachingSettings() if updates is None else TeachingSettings(updates=updates)
     windows, steps = None, model.history_steps
     if recordings:
@@ -160,14 +195,40 @@ def teach(
         known = _scenes(config, scenes).train.observed[:, :, :steps]
     else:
         raise InputError(f"{path}: got no recordings, wanted those that it learned from; give them with --recordings")
-    with claimed_place(out):
-        identity = teaching_identity(model, known, settings, seed, windows)
-        with resumable(TrainingState(out.with_suffix(".state"), identity)) as state, ProgressDisplay() as progress:
-            taught, how = teach_model(model, known, settings, seed, windows, progress, state)
-        checkpoint.save(out, taught, checkpoint.load_reward(path), {**made, "teaching": how})
-        state.finish()
-    say(f"taught in {how['cpu_seconds']} s of CPU, wrote {out}")
-    next_command(f"gri evaluate {out}")
+    identity = teaching_identity(model, known, settings, seed, windows)
+    with resumable(TrainingState(kept, identity)) as state, ProgressDisplay() as progress:
+        return *teach_model(model, known, settings, seed, windows, progress, state), state
+
+
+def _taught_merges(
+    path: Path,
+    model: "RelationalModel",
+    config: "TrainConfig",
+    merges: Sequence[Path],
+    seed: int,
+    updates: int | None,
+    kept: Path,
+) -> "tuple[RelationalModel, Mapping[str, Any], TrainingState]":
+    """A merge model with a taught encoder, how it was taught, and the state that is kept in the file `kept`."""
+    from gri.inference.step_relations import released_merge_constants
+    from gri.training.relations.teach_merges import (
+        MergeTeachingSettings,
+        merge_teaching_identity,
+        merges_with_posterior,
+        teach_merge_model,
+    )
+    from gri.training.training_state import TrainingState
+
+    scenes, constants = config.data.scene_file_range, released_merge_constants()
+    if scenes is None:
+        raise InputError(f"{path}: this model is for no scene file; give a merge model, such as us101_merge")
+    settings = MergeTeachingSettings() if updates is None else MergeTeachingSettings(updates=updates)
+    with ProgressDisplay() as progress:
+        known = merges_with_posterior(model, scenes, merges, constants, settings, progress)
+    identity = merge_teaching_identity(model, known, settings, seed)
+    with resumable(TrainingState(kept, identity)) as state, ProgressDisplay() as progress:
+        taught, how = teach_merge_model(model, known, settings, seed, progress, state)
+    return taught, {**how, "constants": constants}, state
 
 
 def evaluate(

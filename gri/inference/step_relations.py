@@ -11,13 +11,14 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
+from gri import resources
 from gri.core.dynamics import DUBINS
 from gri.core.edges import LANE_CHANGING, Vocabulary, pairs, vehicle_count
 from gri.core.trajectory import Trajectory
 from gri.data.ranges.recorded import RecordedRange
 from gri.data.recorded import in_model_coordinates, kinds_in
 from gri.data.scene_file.reading import Recorded, read, scene_counts, scene_numbers
-from gri.errors import InputError
+from gri.errors import InputError, guarded_reading
 from gri.networks.model import RelationalModel
 from gri.progress import Progress, no_progress
 from gri.relations.merge_motion import lane_width_of, motion_of
@@ -113,6 +114,16 @@ class MergeConstants(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw
 
     constants: dict[str, float]
     provenance: dict[str, Any]
+
+
+POSTERIOR = "merge_posterior"
+
+
+def released_merge_constants() -> dict[str, float]:
+    """The constants that come with the project. Errors: `InputError` if their file is damaged."""
+    path = resources.PACKAGE / "checkpoints" / f"{POSTERIOR}.json"
+    with guarded_reading(path, "constants of merges", "install the package again"):
+        return msgspec.json.decode(path.read_bytes(), type=MergeConstants).constants
 
 
 def by_merge_posterior(

@@ -7,6 +7,9 @@
 
 `f_emb` is a 1-D CNN with attentive pooling over time. The other networks are fully connected. All vehicles share all
 networks, so that renumbering the vehicles renumbers the edges.
+
+Beyond the paper, the encoder can also read the series of each pair (`pair_series`): gaps matter to some decimetres and
+lateral movements to centimetres, and embeddings of single vehicles do not keep them.
 """
 
 import msgspec
@@ -18,6 +21,10 @@ from gri.core.layers import edge_ends, incidence, mlp
 from gri.core.scale import Scale
 
 POSITION = 0  # the longitudinal position is the first state feature of all dynamics
+X, Y, V = 0, 1, 2  # state features of vehicles that may change lanes
+LENGTH = 5.0  # [m] of every vehicle
+PAIR_SERIES = 11  # channels without time
+RECENT = 5  # last instants, whose mean is read besides the last two
 
 
 class EncoderConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -35,6 +42,8 @@ class EncoderConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_
     """Number of attention heads that pool over time."""
     skip: bool = False
     """f_e² also reads h¹_ij, as in the published NRI code; the paper's equations do not have this."""
+    pair_series: bool | msgspec.UnsetType = msgspec.UNSET
+    """f_e¹ also reads the series of the pair, of vehicles that may change lanes. It then reads x, y and v of both."""
 
 
 class Encoder(nn.Module):
@@ -50,7 +59,11 @@ class Encoder(nn.Module):
         self.register_buffer("offset", torch.tensor([scale.offset[d] for d in config.reads]), persistent=False)
         self.register_buffer("unit", torch.tensor([scale.unit[d] for d in config.reads]), persistent=False)
         self.embedding = TemporalEmbedding(len(config.reads) + 1, hidden, config.kernel, config.heads)
-        self.edge_1 = nn.Sequential(mlp([2 * hidden, hidden, hidden]), nn.SiLU())
+        read = 0
+        if config.pair_series:
+            self.pair = TemporalEmbedding(PAIR_SERIES + 1, hidden, config.kernel, config.heads)
+            read = hidden + 3 * PAIR_SERIES
+        self.edge_1 = nn.Sequential(mlp([2 * hidden + read, hidden, hidden]), nn.SiLU())
         self.node = nn.Sequential(mlp([hidden, hidden, hidden]), nn.SiLU())
         self.edge_2 = mlp([(3 if config.skip else 2) * hidden, hidden, edge_types], last_scale=0.1)
 
@@ -64,10 +77,18 @@ class Encoder(nn.Module):
         n = state.shape[1]
         senders, receivers = edge_ends(n)
         nodes = self.embedding(self._channels(state))
-        edges = self.edge_1(torch.cat([nodes[:, senders], nodes[:, receivers]], -1))
+        series = self._read_pairs(state) if self.config.pair_series else []
+        edges = self.edge_1(torch.cat([nodes[:, senders], nodes[:, receivers], *series], -1))
         nodes = self.node(incidence(n).to(edges) @ edges)
         skipped = [edges] if self.config.skip else []
         return self.edge_2(torch.cat([nodes[:, senders], nodes[:, receivers], *skipped], -1))
+
+    def _read_pairs(self, state: Float[Tensor, "B N T D"]) -> list[Float[Tensor, "B E _"]]:
+        """Each pair's embedded series, and its last two values and their recent mean as they are."""
+        series = pair_series(state, self.dt)
+        time = _time(state, self.dt)[:, None].expand(*series.shape[:3], 1)
+        seen = [series[:, :, -1], series[:, :, -2], series[:, :, -RECENT:].mean(2)]
+        return [self.pair(torch.cat([series, time], -1)), *seen]
 
     def _channels(self, state: Float[Tensor, "B N T D"]) -> Float[Tensor, "B N T C"]:
         """Scaled features and the time before the last instant.
@@ -77,9 +98,32 @@ class Encoder(nn.Module):
         centre = torch.zeros_like(state[:, :1])
         centre[..., POSITION] = state[..., POSITION].mean(1, keepdim=True)
         read = (state - centre)[..., list(self.config.reads)]
-        steps = state.shape[2]
-        time = torch.arange(1 - steps, 1, dtype=state.dtype) * self.dt / 4.0  # Units: 4 s
-        return torch.cat([(read - self.offset) / self.unit, time[:, None].expand(*read.shape[:3], 1)], -1)
+        time = _time(state, self.dt)[:, None].expand(*read.shape[:3], 1)
+        return torch.cat([(read - self.offset) / self.unit, time], -1)
+
+
+def _time(state: Float[Tensor, "B N T D"], dt: float) -> Float[Tensor, " T"]:
+    """The time before the last instant. Units: 4 s."""
+    return torch.arange(1 - state.shape[2], 1, dtype=state.dtype) * dt / 4.0
+
+
+def pair_series(state: Float[Tensor, "B N T D"], dt: float) -> Float[Tensor, "B E T C"]:
+    """What the encoder reads of each pair, scaled to about one.
+
+    Headway, gap in metres and in seconds, difference of the speeds, lateral distance, lateral movements on two scales,
+    and both accelerations.
+    """
+    x, y, v = state[..., X], state[..., Y], state[..., V]
+    a = (v[..., 1:] - v[..., :-1]) / dt
+    a = torch.cat([a[..., :1], a], -1)
+    moved = torch.cat([torch.zeros_like(y[..., :1]), y[..., 1:] - y[..., :-1]], -1)
+    i, j = edge_ends(state.shape[1])
+    headway = x[:, i] - x[:, j]
+    gap = (headway.abs() - LENGTH) * headway.sign()
+    slower = torch.minimum(v[:, i], v[:, j])
+    places = [headway / 20, (gap / 5).tanh(), (gap / (slower + 2) / 2).tanh(), (v[:, i] - v[:, j]) / 3]
+    across = [(y[:, i] - y[:, j]) / 3.6, *((unit * moved[:, k]).tanh() for unit in (10, 50) for k in (i, j))]
+    return torch.stack([*places, *across, a[:, i] / 2, a[:, j] / 2], -1)
 
 
 class TemporalEmbedding(nn.Module):

@@ -10,7 +10,9 @@ NOMINAL_LENGTH = 5.0  # [m], of vehicles whose length is not known
 STRAIGHTEST = 1.875  # greatest lateral speed of a path of least jerk, in widths per duration
 LEAST_CHANGE = 1.0  # [m] sideways, of a lane change
 SLOWEST_CHANGE = 0.03  # widths per step
-BEGUN = 0.05  # widths from the centre of its lane, from which a vehicle may be changing lanes
+BEGUN = 0.002  # widths from the centre of its lane, from which a vehicle may be changing lanes if others do not waver
+WAVERS = 4.0  # standard deviations of how other vehicles waver; further from its centre a vehicle may be changing lanes
+REST = 3  # steps before a change begins, in which a vehicle is not further from the centre than that
 
 
 @dataclass(frozen=True)
@@ -129,16 +131,34 @@ def lane_numbers(
 def _with_changes_begun(lane: Float[Tensor, "S N T"], across: Float[Tensor, "S N T"]) -> Float[Tensor, "S N T"]:
     """The lanes with those changes that have begun in the last step but have not reached the line.
 
-    On a path of least jerk over the duration D, s = 10u³ − 15u⁴ + 6u⁵ widths are behind after the share u of it, at the
-    speed 30u²(1 − u)²/D.
+    On a path of least jerk over the duration D, s = 10u³ − 15u⁴ + 6u⁵ widths are behind after the share u of it. So the
+    last two steps give two shares, 1/D apart. A vehicle must be further from the centre of its lane than others waver,
+    and it must have been nearer before it began.
     """
-    u = torch.linspace(0, 0.5, 101, dtype=across.dtype)
+    u = torch.linspace(0, 0.5, 2001, dtype=across.dtype)
     done = 10 * u**3 - 15 * u**4 + 6 * u**5
-    offset, speed = across[..., -1] - lane[..., -1], across[..., -1] - across[..., -2]
-    share = u[torch.searchsorted(done, offset.abs().contiguous()).clamp(max=len(u) - 1)]
-    duration = 30 * share**2 * (1 - share) ** 2 / speed.abs().clamp(min=1e-9)
-    begun = (offset * speed > 0) & (offset.abs() > BEGUN) & (duration < STRAIGHTEST / SLOWEST_CHANGE)
+    offset = across[..., -2:] - lane[..., -1:]
+    now, before = offset[..., 1], offset[..., 0] * offset[..., 1].sign()
+    share, last = (
+        u[torch.searchsorted(done, s.clamp(min=0).contiguous()).clamp(max=len(u) - 1)] for s in (now.abs(), before)
+    )
+    duration = 1 / (share - last).clamp(min=1e-9)
+    wavers = (WAVERS * _wavering(lane, across)).clamp(min=BEGUN)
+    begun = (now.abs() > wavers) & (now.abs() > before) & (duration < STRAIGHTEST / SLOWEST_CHANGE)
     for scene, vehicle in torch.nonzero(begun).tolist():
-        ago = int((share * duration)[scene, vehicle].round())
-        lane[scene, vehicle, max(lane.shape[-1] - ago, 0) :] += offset[scene, vehicle].sign()
+        ago = max(int((share * duration)[scene, vehicle].round()), 1)
+        first = max(lane.shape[-1] - ago, 0)
+        rest = slice(max(first - 1 - REST, 0), max(first - 1, 0))
+        if bool(((across - lane)[scene, vehicle, rest].abs() <= wavers[scene, vehicle]).all()):
+            lane[scene, vehicle, first:] += now[scene, vehicle].sign()
     return lane
+
+
+def _wavering(lane: Float[Tensor, "S N T"], across: Float[Tensor, "S N T"]) -> Float[Tensor, "S N"]:
+    """How the other vehicles waver in their lanes [widths]: the standard deviation of the one that does so least.
+
+    So one other vehicle may be changing lanes itself.
+    """
+    sd = (across - lane).std(-1)
+    itself = torch.eye(sd.shape[1], dtype=torch.bool)
+    return sd[:, None].expand(-1, sd.shape[1], -1).masked_fill(itself, torch.inf).amin(-1)

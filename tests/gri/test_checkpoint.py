@@ -131,6 +131,7 @@ def test_tensors_of_another_size_are_named(saved: tuple[Path, RelationalModel]):
 @pytest.mark.parametrize(
     ("name", "history_steps"),
     [
+        ("merge_relations", 25),
         ("mixed_merge", 25),
         ("ngsim_car_following", 30),
         ("ngsim_lane_changing", 40),

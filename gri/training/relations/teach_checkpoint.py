@@ -48,7 +48,9 @@ def teach_model(
     """
     if model.config.vocabulary != FOLLOWING:
         kinds = ", ".join(model.config.vocabulary)
-        raise InputError(f"got a model with edge types {kinds}, wanted none and follow; teach a car-following model")
+        raise InputError(
+            f"got a model with edge types {kinds}, wanted none and follow; merge models learn with --merges"
+        )
     started = time.process_time()
     torch.manual_seed(seed)
     config = msgspec.structs.replace(model.config, encoder=None, pair_encoder=PairEncoderConfig())

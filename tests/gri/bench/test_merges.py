@@ -8,13 +8,14 @@ import torch
 
 from gri.bench import merges
 from gri.bench.merge_rows import POSTERIOR, as_the_models_see, starts
-from gri.bench.merge_scenes import LAG, MERGER, V, X, Y, controls, read_merges
+from gri.bench.merge_scenes import controls, read_merges
 from gri.bench.merge_scores import balanced_accuracy, claimed, f1_by_type, macro_f1
 from gri.bench.merges import Plan, run
 from gri.core.dynamics import DUBINS
 from gri.core.edges import LANE_CHANGING, pairs
 from gri.data.scene_file.schema import Header, SceneBlock, writing
 from gri.errors import InputError
+from gri.relations.broken_merges import LAG, MERGER, V, X, Y
 from gri.relations.merge_explanations import CONSTANTS
 
 WIDTH, DT, STEPS = 3.5, 0.2, 20

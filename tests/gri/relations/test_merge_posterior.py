@@ -88,7 +88,7 @@ def test_a_lane_change_that_goes_on_is_seen_before_the_line_is_crossed(merges):
         begin = torch.where((seen[:, 0] == 0).any(-1), (seen[:, 0] == 0).int().argmax(-1), STEPS)
         if last < CHANGE:
             assert (begin == STEPS).all()
-        elif last >= CHANGE + 3:  # a fifth of the way; the line is crossed 4 steps later
+        else:  # from its first step on, in which it has moved by a centimetre; the line is crossed 7 steps later
             assert (begin - CHANGE).abs().max() <= 1
         assert (lane_numbers(y[..., : last + 1], WIDTH)[:, 0] == 0).any() == (last >= CHANGE + 7)
 
@@ -98,6 +98,17 @@ def test_who_wavers_in_its_lane_does_not_change_it(merges):
     y[:, 0] = -WIDTH + 0.15 * torch.sin(0.5 * torch.arange(STEPS, dtype=y.dtype))
     for last in range(3, STEPS):
         assert (lane_numbers(y[..., : last + 1], WIDTH, unfinished=True)[:, 0] == -1).all()
+
+
+def test_where_all_vehicles_waver_a_change_is_seen_later(merges):
+    noisy = merges[..., 1] + 0.05 * torch.randn(merges.shape[:3], generator=torch.Generator().manual_seed(2)).double()
+    begun = []
+    for last in range(8, STEPS):
+        seen = lane_numbers(noisy[..., : last + 1], WIDTH, unfinished=True)
+        begun.append((seen[:, 0, -1] == 0).double().mean())
+        assert last >= CHANGE or begun[-1] <= 0.2
+    assert min(begun[CHANGE + 7 - 8 :]) == 1  # the line is crossed
+    assert sum(begun[: CHANGE - 8]) / (CHANGE - 8) < 0.03
 
 
 def test_a_change_that_goes_on_is_a_cut_in_for_who_will_have_to_brake(merges):
