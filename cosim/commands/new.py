@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from gri.errors import InputError
+from gri.storage.scratch import ScratchFolder
 from gri.terminal import ProgressDisplay, ShowProgress, next_command, say
 
 if TYPE_CHECKING:
@@ -41,22 +42,20 @@ def new(
         sumocfg = convert(sumocfg)
         say(f"Configuration: {sumocfg}, with usual flows; replace them by measured ones.")
     path = out or sumocfg.with_suffix(".yaml")
-    if path.exists():
-        raise InputError(f"{path}: the file is there already; give another one with --out FILE")
+    picture = path.with_suffix(".png")
+    for written in (path, picture):
+        if written.exists():
+            raise InputError(f"{written}: the file is there already; move it, or give another one with --out FILE")
     if not 30 <= seconds <= 86_400:
         raise InputError(f"--seconds: got {seconds:g}, expected a time from 30 to 86400 s")
-    log = path.with_suffix(".log")
-    try:
-        with ProgressDisplay() as progress:
-            use = run_in_worker("cosim.proposals.propose:observe", sumocfg, seconds, 0.2, log=log, tell=progress)
-            made = proposals(sumocfg, path.parent, use, rule)
-            counts = _count(made, path, log, progress)
-    finally:
-        log.unlink(missing_ok=True)
+    with ScratchFolder() as scratch, ProgressDisplay() as progress:
+        log = Path(scratch, "worker.log")
+        use = run_in_worker("cosim.proposals.propose:observe", sumocfg, seconds, 0.2, log=log, tell=progress)
+        made = proposals(sumocfg, path.parent, use, rule)
+        counts = _count(made, path, log, progress)
     best = max(counts, key=lambda k: (counts[k] > 0, -k))
     chosen = made.each[best]
     path.write_text(chosen.text, encoding="utf-8")
-    picture = path.with_suffix(".png")
     draw_road(made.net, made.road, chosen.choice, picture)
     road = made.road
     say(f"Main road: {' → '.join(road.edges)}, {road.length:.0f} m, {road.vehicles} vehicles in {seconds:g} s.")

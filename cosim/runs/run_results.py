@@ -104,6 +104,7 @@ class Run:
             found.append(
                 f"{arguments['waiting_outside']} vehicles wait outside the net at the end, {MANY_WAITING} or more since"
                 f" {arguments['waiting_outside_since']:g} s: the road cannot take the demand; lower traffic.flows"
+                " (of files of your own: traffic.options, scale: 0.8)"
             )
         return found
 

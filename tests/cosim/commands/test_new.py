@@ -8,6 +8,7 @@ from typer.testing import CliRunner
 
 from cosim.commands.cli import app
 from cosim.spec.loading import load_scenario
+from gri.errors import InputError
 from gri.resources import shipped
 
 pytestmark = pytest.mark.usefixtures("forked_workers")
@@ -33,7 +34,15 @@ def configuration(tmp_path: Path) -> Path:
     return path
 
 
+def test_a_picture_of_the_user_is_not_overwritten(configuration: Path) -> None:
+    configuration.with_suffix(".png").write_text("a picture of mine")
+    with pytest.raises(InputError, match=r"mine\.png: the file is there already"):
+        CliRunner().invoke(app, ["new", str(configuration)], catch_exceptions=False)
+    assert configuration.with_suffix(".png").read_text() == "a picture of mine"
+
+
 def test_a_proposed_scenario_names_the_road_and_has_groups(configuration: Path) -> None:
+    configuration.with_suffix(".log").write_text("what SUMO said in another run")  # users have logs of this name
     done = CliRunner().invoke(app, ["new", str(configuration), "--seconds", "60", "--rule", "car_following"])
     assert done.exit_code == 0, done.output
     path = configuration.with_suffix(".yaml")
@@ -46,7 +55,7 @@ def test_a_proposed_scenario_names_the_road_and_has_groups(configuration: Path) 
     assert found is not None
     assert int(found[1]) >= 5
     assert max(map(len, done.output.splitlines())) <= 80 or str(path) in done.output
-    assert not path.with_suffix(".log").exists()
+    assert path.with_suffix(".log").read_text() == "what SUMO said in another run"
 
 
 def test_a_file_that_is_there_is_not_overwritten(configuration: Path) -> None:
