@@ -8,6 +8,7 @@ oriented boxes (`cosim.measures.collision_detection`).
 Sources: TTC Hayward (1972); DRAC Cooper and Ferguson (1976); PET Allen, Shin and Cooper (1978); SUMO doc: SSM Device.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -19,6 +20,7 @@ from cosim.measures.collision_detection import Boxes, box_centre, boxes_overlap
 BRAKING = (2.0, 3.0)  # [m/s²]; SUMO's drivers here brake with 3.5 at most unless there is an emergency
 HARD_BRAKING = 4.5  # [m/s²]
 JERK_QUANTILES = (0.5, 0.95, 0.99)
+ROUNDING = 1e-6  # [m], more than distances are rounded by
 PET_SUBSTEPS = 10  # of a step, between which poses are interpolated for PET
 
 Times = Float[np.ndarray, " T"]
@@ -126,8 +128,9 @@ def _boxes_of(track: Track, xy: Float[np.ndarray, "U 2"], heading: Float[np.ndar
 def _overlap_after(late: Boxes, early: Boxes, lag: int) -> bool:
     """Whether `late` at any instant overlaps `early` of `lag` substeps before; only close vehicles are tested."""
     count = len(early.xy) - lag
-    reach = sum(float((boxes.length + boxes.width).max()) for boxes in (late, early))
-    near = np.abs(late.xy[lag:] - early.xy[:count]).max(axis=1) < reach
+    reach = sum(float(boxes.length[0] + boxes.width[0]) for boxes in (late, early))  # each vehicle keeps its size
+    apart = np.abs(late.xy[lag:] - early.xy[:count])
+    near = (apart[:, 0] < reach) & (apart[:, 1] < reach)
     if not near.any():
         return False
     ours, theirs = (np.flatnonzero(near) + shift for shift in (lag, 0))
@@ -231,8 +234,23 @@ def _worst(pairs: Sequence[tuple[Track, Track]]) -> dict[str, float]:
         "max_drac": max((float(drac(i, j).max()) for i, j in pairs), default=0.0),
         "min_pet": min_pet,
         "min_headway": min((float(time_headway(i, j).min()) for i, j in pairs), default=np.inf),
-        "min_distance": min((float(box_distance(i, j).min()) for i, j in pairs), default=np.inf),
+        "min_distance": _least_distance(pairs),
     }
+
+
+def _least_distance(pairs: Sequence[tuple[Track, Track]]) -> float:
+    """The least `box_distance` [m] of all pairs: the nearest pairs first, without those that are too far apart."""
+    least, bounds = np.inf, [_least_possible_distance(i, j) for i, j in pairs]
+    for k in np.argsort(bounds):
+        if bounds[k] < least:
+            least = min(least, float(box_distance(*pairs[k]).min()))
+    return least
+
+
+def _least_possible_distance(one: Track, other: Track) -> float:
+    """A distance [m] that the boxes never fall below: no point of a box is farther from its front than its diagonal."""
+    apart = np.hypot(*(one.xy - other.xy).T).min()
+    return float(apart) - ROUNDING - sum(math.hypot(track.length, track.width) for track in (one, other))
 
 
 def _paths_may_cross(second: Track, first: Track) -> bool:

@@ -442,3 +442,19 @@ def test_pet_agrees_with_sumo(tmp_path, crossing):
     value, _ = worst(conflict(tmp_path, "second", "first"), "PET")
     assert value == pytest.approx(surrogate_safety.pet(tracks["second"], tracks["first"]), abs=0.04)
     assert surrogate_safety.pet(tracks["first"], tracks["second"]) == np.inf
+
+
+def test_the_least_distance_of_many_pairs_is_that_of_every_pair():
+    """Pairs that are too far apart are left out; some of these overlap, some are close, some far."""
+    draw = np.random.default_rng(5)
+    for spread in (5.0, 20.0, 80.0):
+        tracks = [
+            replace(
+                track(draw.uniform(-spread, spread), 10.0, d=draw.uniform(-8, 8)), heading=draw.uniform(-0.5, 0.5, 2)
+            )
+            for _ in range(6)
+        ]
+        pairs = [(one, other) for one in tracks for other in tracks if one is not other]
+        least = min(float(surrogate_safety.box_distance(*pair).min()) for pair in pairs)
+        assert surrogate_safety._least_distance(pairs) == least
+    assert surrogate_safety._least_distance([]) == np.inf
