@@ -30,10 +30,24 @@ def perform_away(task: Task, time_limit: float, folder: str) -> Parcel:
     return replace(answer, folder=task.folder), files if answer.kind == "done" else {}
 
 
-def perform_alone(task: Task, time_limit: float, folder: str) -> Parcel:
-    """Like `perform_away` in a process that does this one task: a worker that waits would keep it from ending."""
-    try:
+class AwayWorker:
+    """A process on another machine that does one task after the other, as `perform_away`.
+
+    Tasks with the same preparation that follow each other share it.
+    """
+
+    def perform(self, task: Task, time_limit: float, folder: str) -> Parcel:
+        """Do a task."""
         return perform_away(task, time_limit, folder)
+
+
+def perform_alone(task: Task, time_limit: float, folder: str) -> Parcel:
+    """Like `perform_away` in a process that does this one task: a worker that waits would keep it from ending.
+
+    What the task would share with others it does by itself.
+    """
+    try:
+        return perform_away(replace(task, preparation=None), time_limit, folder)
     finally:
         end_worker()
 

@@ -9,7 +9,7 @@ import os
 import signal
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import replace
 from multiprocessing import get_context
@@ -37,7 +37,8 @@ def run_local(queue: deque[Task], time_limit: float, *, workers: int) -> TaskRes
             for k in range(workers):
                 if queue and (k == len(crew) or crew[k].task is None):
                     crew[k : k + 1] = [alive_or_new(crew[k] if k < len(crew) else None)]
-                    crew[k].begin(next_task(queue, crew[k], crew), time_limit)
+                    others = {other.key for other in crew if other is not crew[k]}
+                    crew[k].begin(next_task(queue, crew[k].key, others), time_limit)
             busy = [worker for worker in crew if worker.task]
             wait([worker.pipe for worker in busy], timeout=min(worker.time_left for worker in busy))
             for worker in busy:
@@ -48,11 +49,10 @@ def run_local(queue: deque[Task], time_limit: float, *, workers: int) -> TaskRes
             worker.end()
 
 
-def next_task(queue: deque[Task], worker: "Worker", crew: Sequence["Worker"]) -> Task:
-    """Take a task for a worker: one for which it is prepared, or else one for which no other worker is."""
-    others = {other.key for other in crew if other is not worker} - {""}
-    own = (k for k, task in enumerate(queue) if worker.key and key_of(task) == worker.key)
-    free = (k for k, task in enumerate(queue) if key_of(task) not in others)
+def next_task(queue: deque[Task], key: str, others: Collection[str]) -> Task:
+    """Take a task for a worker: one for which it is prepared (`key`), or else one for which no other worker is."""
+    own = (k for k, task in enumerate(queue) if key and key_of(task) == key)
+    free = (k for k, task in enumerate(queue) if not key_of(task) or key_of(task) not in others)
     k = next(own, None)
     k = next(free, 0) if k is None else k
     task = queue[k]

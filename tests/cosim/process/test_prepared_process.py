@@ -43,7 +43,8 @@ def test_workers_take_their_own_key_and_then_one_that_nobody_has(tmp_path):
     first.key = second.key = ""
     taken = []
     for worker in (first, second, first, first, second):
-        worker.key = key_of(task := next_task(queue, worker, [first, second]))
+        others = {other.key for other in (first, second) if other is not worker}
+        worker.key = key_of(task := next_task(queue, worker.key, others))
         taken.append(task.name)
     assert taken == ["fine-0", "fine-1", "fine-2", "fine-3", "fine-4"]
     assert (first.key, second.key, len(queue)) == ("three", "two", 0)
