@@ -72,9 +72,10 @@ def execute(
         tally = Tally(len(runs), len(done), len(failed - done))
         attempts: Counter[str] = Counter()
         reasons: dict[str, list[dict[str, Any]]] = {}
-        ordered = in_order_of_warm_ups(runs)
+        keys = {run.id: warm_up_key(run.scenario) for run in runs}
+        ordered = in_order_of_warm_ups(runs, keys)
         left = [run for run in ordered if run.id not in done | failed]
-        warm_ups = _shared_warm_ups(left, store.scratch)
+        warm_ups = _shared_warm_ups(left, keys, store.scratch)
         queue = deque(_task(run, store, 0, warm_ups) for run in left)
         packing = _Packing(batch.shards, ordered, store, warn)
         packing.begin(done | failed)
@@ -146,23 +147,30 @@ class _Packing:
             self._warn(f"{len(members)} runs could not be packed into a shard, and keep their folders: {error}")
 
 
-def in_order_of_warm_ups(runs: Sequence[Run]) -> list[Run]:
-    """The runs in the order in which they are done: those that share a warm-up follow each other."""
+def in_order_of_warm_ups(runs: Sequence[Run], keys: Mapping[str, str]) -> list[Run]:
+    """The runs in the order in which they are done: those that share a warm-up follow each other.
+
+    `keys` are their `warm_up_key`s by their ids.
+    """
     first: dict[str, int] = {}
-    keys = [warm_up_key(run.scenario) for run in runs]
-    places = [first.setdefault(key, k) if key else k for k, key in enumerate(keys)]
+    places = [first.setdefault(key, k) if (key := keys[run.id]) else k for k, run in enumerate(runs)]
     return [runs[k] for k in sorted(range(len(runs)), key=lambda k: (places[k], k))]
 
 
-def _shared_warm_ups(runs: Sequence[Run], scratch: Path) -> Mapping[str, Preparation]:
+def _shared_warm_ups(runs: Sequence[Run], keys: Mapping[str, str], scratch: Path) -> Mapping[str, Preparation]:
     """The warm-ups that several of these runs share, by the ids of the runs, with their files in `scratch`."""
-    keys = {run.id: warm_up_key(run.scenario) for run in runs}
-    count = Counter(keys.values())
-    return {
-        run.id: Preparation(key, "cosim.runs.shared_warm_up:shared_warm_up", (run.scenario, str(scratch)))
-        for run in runs
-        if (key := keys[run.id]) and count[key] > 1
-    }
+    sharing: dict[str, list[Run]] = {}
+    for run in runs:
+        if keys[run.id]:
+            sharing.setdefault(keys[run.id], []).append(run)
+    found = {}
+    for key, members in sharing.items():
+        if len(members) > 1:
+            policies = {msgspec.json.encode(run.scenario.policy): run.scenario for run in members}.values()
+            arguments = (members[0].scenario, str(scratch), *policies)
+            shared = Preparation(key, "cosim.runs.shared_warm_up:shared_warm_up", arguments)
+            found |= {run.id: shared for run in members}
+    return found
 
 
 def _task(run: Run, store: BatchStore, attempt: int, warm_ups: Mapping[str, Preparation]) -> Task:

@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Collection, Sequence
+from dataclasses import dataclass
 
 from cosim.loop.driving import drive, start_round
 from cosim.loop.intervention import NoIntervention
@@ -9,13 +10,26 @@ from cosim.loop.round_recorder import Round
 from cosim.loop.vehicles_ahead import SpeedRecord, vehicles_ahead
 from cosim.spec.scenario import Scenario
 from cosim.traffic.running_simulation import RunningSimulation
-from cosim.traffic.warm_up import WarmUp
+from cosim.traffic.warm_up import Progress, WarmUp
 from cosim.world.episode import Episode
 from cosim.world.group_search import GroupSearch, search_groups
 from cosim.world.snapshot import Snapshot
 
 BETWEEN_ATTEMPTS = 1.0  # [s] between two attempts to find groups
 FASTEST = 70.0  # [m/s], of any vehicle
+
+
+@dataclass(frozen=True)
+class TakeOver:
+    """An instant at which groups were found: the history up to it, and the round of these groups."""
+
+    history: tuple[Snapshot, ...]
+    found: Round
+
+    @property
+    def now(self) -> Snapshot:
+        """The traffic at the take-over."""
+        return self.history[-1]
 
 
 class Trunk:
@@ -59,6 +73,20 @@ class Trunk:
             self._history.append(running.world.snapshot(running.frame, span=None if k == more - 1 else span))
         self._count_waiting()
         return tuple(self._history)
+
+    def next_take_over(self, left: int, end: float, progress: Progress) -> TakeOver | None:
+        """Go on to the next instant with groups, when `left` groups have been left to SUMO.
+
+        None when there are as many as the scenario has episodes, or at the `end` [s].
+        """
+        episodes = self._scenario.episodes
+        while left < episodes and self.time < end:
+            progress("episodes", left, episodes)
+            history = self.observe_history()
+            found = self.find_groups(history, limit=episodes - left)
+            if found.groups:
+                return TakeOver(history, found)
+        return None
 
     def find_groups(self, history: Sequence[Snapshot], limit: int) -> Round:
         """The next round: at most `limit` groups with enough road ahead, of vehicles that were in no group before."""

@@ -56,7 +56,7 @@ def run_job(
             from cosim.runs.traffic_effects import traffic_effects
 
             driver = driver or _driver(scenario, None)
-            outcome = run_on(warm, driver, tell)
+            outcome = run_on(warm, driver, tell) if prepared is None else prepared.run_on(warm, driver, tell, files.log)
         of_traffic = traffic_effects(scenario, tell, scratch=folder)
         routes = (
             None if scenario.traffic.has_own_files else prepared.routes_sha256 if prepared else sha256(files.routes)

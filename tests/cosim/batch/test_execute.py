@@ -13,6 +13,8 @@ from cosim.batch.execute import Tally, _shared_warm_ups, execute, in_order_of_wa
 from cosim.batch.run_matrix import expand, load_batch
 from cosim.batch.store import BatchStore
 from cosim.process.task import Task, TaskResult
+from cosim.spec.scenario import tag_of
+from cosim.spec.warm_up import warm_up_key
 from tests.cosim.runs.finished import finished_run, flip
 
 TWO_RUNS = "scenarios: [us101_car_following]\npolicies: {idm: {kind: idm}}\nseeds: [1, 2]\nretries: 2\n"
@@ -121,14 +123,22 @@ def test_results_that_cannot_be_stored_are_a_failed_attempt(two, monkeypatch):
     assert [entry["ended"] for entry in log if entry["run"] == a] == ["error", "done"]
 
 
-def test_runs_without_a_common_warm_up_keep_their_places(two, monkeypatch):
+def test_runs_without_a_common_warm_up_keep_their_places(two):
     """Of six runs the second, fourth and sixth share traffic; the others have their own."""
     scenarios = [msgspec.structs.replace(two.runs[0].scenario, seed=k) for k in range(6)]
     runs = [replace(two.runs[0], key=str(k), scenario=scenario) for k, scenario in enumerate(scenarios)]
-    monkeypatch.setattr(execution, "warm_up_key", lambda scenario: "common" if scenario.seed % 2 else None)
-    assert [run.id for run in in_order_of_warm_ups(runs)] == ["r0", "r1", "r3", "r5", "r2", "r4"]
-    assert set(_shared_warm_ups(runs, Path("scratch"))) == {"r1", "r3", "r5"}
-    assert _shared_warm_ups(runs[:3], Path("scratch")) == {}, "there is only one of them"
+    keys = {run.id: "common" if k % 2 else "" for k, run in enumerate(runs)}
+    assert [run.id for run in in_order_of_warm_ups(runs, keys)] == ["r0", "r1", "r3", "r5", "r2", "r4"]
+    assert set(_shared_warm_ups(runs, keys, Path("scratch"))) == {"r1", "r3", "r5"}
+    assert _shared_warm_ups(runs[:3], keys, Path("scratch")) == {}, "there is only one of them"
+
+
+def test_the_key_of_a_warm_up_is_computed_once_per_run(two, monkeypatch):
+    asked = []
+    monkeypatch.setattr(execution, "warm_up_key", lambda scenario: asked.append(scenario) or "")
+    a, b = (run.id for run in two.runs)
+    two.go({a: ["done"], b: ["done"]})
+    assert asked == [run.scenario for run in two.runs]
 
 
 def test_bad_input_is_tried_once(two):
@@ -183,11 +193,13 @@ def test_two_runs_in_the_same_traffic_share_its_warm_up_and_one_alone_has_none(t
         TWO_RUNS.replace("{idm: {kind: idm}}", "{idm: {kind: idm}, left: {kind: sumo}}")
     )
     runs = expand(*load_batch(str(tmp_path / "shared.yaml")))
-    ordered = in_order_of_warm_ups(runs[:3])
-    found = _shared_warm_ups(ordered, Path("scratch"))
+    keys = {run.id: warm_up_key(run.scenario) for run in runs}
+    ordered = in_order_of_warm_ups(runs[:3], keys)
+    found = _shared_warm_ups(ordered, keys, Path("scratch"))
     alone, both = sorted(([run for run in ordered if run.scenario.seed == seed] for seed in (1, 2)), key=len)
     assert [len(alone), len(both)] == [1, 2]
     assert alone[0].id not in found
     first, second = (found[run.id] for run in both)
     assert first.key == second.key
+    assert {tag_of(scenario.policy) for scenario in first.arguments[2:]} == {"idm", "sumo"}
     assert ordered.index(both[1]) == ordered.index(both[0]) + 1
