@@ -35,12 +35,13 @@ def load_core() -> bool:
 def compiled_steps(world: Sumo, road: RoadFrame, start: RoundStart, recorder: RoundRecorder) -> "CompiledSteps | None":
     """The compiled steps of a round, after its take-over; None where Python is to make them.
 
-    They are for straight roads without perturbations, for vehicles driven by policies in states of a matrix.
+    They are for straight roads without perturbations, for vehicles driven by policies in states of a matrix, in groups
+    that keep their members.
     """
     if not load_core():
         return None
     intervention, control, this_round = start.intervention, start.control, start.round
-    if not isinstance(intervention, NoIntervention) or not this_round.groups:
+    if not isinstance(intervention, NoIntervention) or not this_round.groups or start.members is not None:
         return None
     if road.straight_line is None or road.places is not None or this_round.default_driver != "sumo":
         return None

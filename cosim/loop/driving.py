@@ -4,7 +4,7 @@ The same function records a round that is left to SUMO, so that both sides of a 
 docs/coupling.md for what a command does and when.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -22,6 +22,7 @@ from cosim.loop.graph_source import (
 )
 from cosim.loop.guard import guard_of
 from cosim.loop.intervention import Intervention, NoIntervention
+from cosim.loop.membership import Membership
 from cosim.loop.observation import GroupObservation
 from cosim.loop.policy_runner import PolicyRunner
 from cosim.loop.returning_vehicles import ReturningVehicles
@@ -34,11 +35,11 @@ from cosim.sumo import Sumo
 from cosim.world.break_ups import lane_entries, with_cause
 from cosim.world.contacts import contacts_of
 from cosim.world.episode import COLUMNS, Contact, Episode, Event, EventKind
-from cosim.world.groups import order_of
+from cosim.world.groups import expected_graph, order_of
 from cosim.world.road_frame import RoadFrame
 from cosim.world.snapshot import Snapshot
 from cosim.world.surroundings import Surroundings
-from gri.core.graph import EdgeType, InteractionGraph
+from gri.core.graph import EdgeType, InteractionGraph, pairs
 from gri.core.policy import Policy
 from gri.reference_drivers.drivers import DriverName
 
@@ -81,10 +82,11 @@ def start_round(
     observations = tuple(GroupObservation.of(snapshot, this_round.groups) for snapshot in history)
     latest = observations[-1]
     assert latest.valid.all(), "a group was selected with a vehicle that is not there"
+    members = Membership(this_round) if this_round.others_join else None
     if driver is None:
-        return RoundStart(SumoControl(this_round.default_driver), intervention, now, observations)
+        return RoundStart(SumoControl(this_round.default_driver), intervention, now, observations, members)
     if driver.policy is None:
-        return RoundStart(SumoDriverControl(driver.name, this_round), intervention, now, observations)
+        return RoundStart(SumoDriverControl(driver.name, this_round), intervention, now, observations, members)
     layout = layout_of(this_round.rule, road, latest.state, now.length[latest.rows], this_round.lanes)
     runner = PolicyRunner(
         driver.policy,
@@ -105,11 +107,13 @@ def start_round(
         channels=intervention.channels(layout, road, len(observations), predicts=driver.predicts),
         around=around_of(intervention, now),
         guard=guard_of(driver.reference, driver.safety, this_round),
+        with_newcomers=partial(_with_newcomers, source=driver.graph, without=driver.without, this_round=this_round),
     )
     runner.decide(now)
     load_core()
     returning = ReturningVehicles(this_round.dt, this_round.lanes)
-    return RoundStart(PolicyControl(driver.name, this_round, runner, returning), intervention, now, observations)
+    control = PolicyControl(driver.name, this_round, runner, returning, members)
+    return RoundStart(control, intervention, now, observations, members)
 
 
 def _graph_to_use(
@@ -128,6 +132,26 @@ def _graph_to_use(
     known = graph_from_source(known, source, this_round.rule, this_round.has_third_vehicle)
     known = reacting_in_doubt(known, source, this_round.driven_roles)
     return with_edges(known, dict.fromkeys(without, EdgeType.NONE), this_round.size)
+
+
+def _with_newcomers(
+    graph: InteractionGraph,
+    roles: Collection[int],
+    source: GraphSource,
+    without: frozenset[tuple[int, int]],
+    this_round: Round,
+) -> InteractionGraph:
+    """The graph in which those who have these roles now are related as the roles are by the group rule.
+
+    What a newcomer did before it joined is no evidence of how the group reacts to it.
+    """
+    expected = expected_graph(this_round.rule)
+    if not {*expected.values()} <= {*graph.vocabulary}:  # a model whose types have no meaning
+        return graph
+    touched = [pair for pair in pairs(this_round.size) if not {*pair}.isdisjoint(roles)]
+    graph = with_edges(graph, {pair: expected.get(pair, EdgeType.NONE) for pair in touched}, this_round.size)
+    graph = graph_from_source(graph, source, this_round.rule, this_round.has_third_vehicle)
+    return with_edges(graph, dict.fromkeys(without, EdgeType.NONE), this_round.size)
 
 
 @dataclass(frozen=True)
@@ -166,11 +190,11 @@ class PythonSteps:
 @torch.inference_mode()
 def drive(world: Sumo, road: RoadFrame, start: RoundStart) -> list[Episode]:
     """Drive (or only record) the groups of a round until all have ended, then watch them; one Episode per group."""
-    this_round, control, intervention = start.round, start.control, start.intervention
+    this_round, control, intervention, members = start.round, start.control, start.intervention, start.members
     seen = Seen.at_start(start)
     rows = start.observations[-1].rows
     length, width = start.now.length[rows], start.now.width[rows]
-    recorder = RoundRecorder(this_round, width)
+    recorder = RoundRecorder(this_round, width, members)
     control.take_over(world, recorder, start.now.time)
     intervention.begin(world, control.roles)
     steps = compiled_steps(world, road, start, recorder) or PythonSteps(world, road, start)
@@ -180,24 +204,37 @@ def drive(world: Sumo, road: RoadFrame, start: RoundStart) -> list[Episode]:
         if made is None:  # nothing happened
             continue
         (now, observation, recorded), report, before = made.observed, made.report, seen.observations[-1]
+        shown, changed = None, {}
+        if members is not None:
+            changed = members.update(now, active)
+            observation = control.with_commanded_acceleration(members.observe(now), active)
+            shown = members.shown(observation, road)
         recorder.judge(observation, before, now, report, last=seen.steps + 1 == this_round.driven_steps)
         recorder.end_failed(control.failures, before.time, now.time)
+        if changed and shown is not None:
+            control.change_roles(world, recorder, shown, now, changed)
         control.hand_back(world, road, recorder, observation, now, ended=set(active) - set(recorder.active))
-        shown = intervention.shown_to_policy(observation, now)
-        control.observe(shown, recorder.active, around_of(intervention, now) if control.sees_nearby else None)
+        if shown is None:
+            shown = intervention.shown_to_policy(observation, now)
+        around = around_of(intervention, now, members and members.ids) if control.sees_nearby else None
+        control.observe(shown, recorder.active, around)
         seen.add(now, observation, recorded)
     driven = seen.steps
     control.verify(seen.observations[len(start.observations) :], recorder)
     while (left := driven + this_round.watched_steps - seen.steps) > 0:
         steps.watch(seen, recorder, left)
     episodes = _episodes(recorder, control, seen.observations, Surroundings.of(seen.around), length, width)
-    return _judged(episodes, intervention, start.now, seen.trace, recorder.contacts)
+    if members is not None:
+        episodes = [
+            replace(episode, role_changes=tuple(changes))
+            for episode, changes in zip(episodes, members.changes, strict=True)
+        ]
+    return _judged(episodes, start, seen.trace, recorder.contacts)
 
 
 def _judged(
     episodes: Sequence[Episode],
-    intervention: Intervention | NoIntervention,
-    takeover: Snapshot,
+    start: RoundStart,
     trace: Sequence[Snapshot],
     touching: Sequence[np.ndarray],
 ) -> list[Episode]:
@@ -205,6 +242,7 @@ def _judged(
 
     `touching` are the rows of vehicles in contact in each of them.
     """
+    intervention, takeover = start.intervention, start.now
     names = [intervention.names(g) for g in range(len(episodes))]
     ends, found = [episode.end for episode in episodes], []
     entries = lane_entries(takeover, trace, [[*of] for of in names], ends)
@@ -213,7 +251,8 @@ def _judged(
         events = tuple(sorted([*events, *episodes[g].events], key=lambda event: event.time))
         episode = replace(episodes[g], contacts=contacts, lane_entries=entries[g], events=events)
         at_the_end = next(now for now in trace if now.time >= ends[g] - 1e-6)
-        found.append(with_cause(episode, intervention.members(g, at_the_end), takeover, trace))
+        ids = intervention.members(g, at_the_end) if start.members is None else start.members.ids[g]
+        found.append(with_cause(episode, ids, takeover, trace))
     return found
 
 
@@ -239,7 +278,7 @@ def _episodes(
     for g, group in enumerate(this_round.groups):
         end = recorder.ends[g]
         graphs = [(at, graph) for at, graph in control.graphs if at <= end]
-        braking = hard_braking(observations, g, group, this_round.driven_roles, end)
+        braking = hard_braking(observations, g, group, recorder.driven_to_the_end(g), end)
         episode = Episode(
             driver=control.name,
             group=group,

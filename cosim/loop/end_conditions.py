@@ -73,13 +73,19 @@ def merging(
         return Ending.LANE_LEFT
     if _between(snapshot, rows, lanes).any():
         return Ending.CUT_IN
-    if now[0, _S] + now[0, _V] * dt >= lanes.source.end and lanes.beyond(now[0, _D]) < 0:
-        return Ending.LANE_END
-    inside = abs(now[0, _D] - lanes.target.centre) + 0.5 * width <= 0.5 * lanes.target.width
-    if not inside:
-        return None
+    ending = merging_alone(now[0], lanes, width, dt)
+    if ending is not Ending.MERGED:
+        return ending
     lag_in_lane = abs(now[1, _D] - lanes.target.centre) <= 0.5 * lanes.target.width
     return Ending.MERGED if lag_in_lane else Ending.LANE_LEFT
+
+
+def merging_alone(now: Float[np.ndarray, " C"], lanes: MergeLanes, width: float, dt: float) -> Ending | None:
+    """LANE_END and MERGED as in `merging`, of a vehicle 0 whose group others may join."""
+    if now[_S] + now[_V] * dt >= lanes.source.end and lanes.beyond(now[_D]) < 0:
+        return Ending.LANE_END
+    inside = abs(now[_D] - lanes.target.centre) + 0.5 * width <= 0.5 * lanes.target.width
+    return Ending.MERGED if inside else None
 
 
 def _between(snapshot: Snapshot, rows: Rows, lanes: MergeLanes) -> Bool[np.ndarray, " V"]:

@@ -66,8 +66,12 @@ class Lookout:
     """Looks at the vehicles near the groups in every step; lateral speeds are differences between two looks."""
 
     def __init__(self, groups: Sequence[Group]) -> None:
-        self._groups = groups
+        self._ids: Sequence[Sequence[str]] = [group.ids for group in groups]
         self._last: tuple[float, dict[str, float]] | None = None
+
+    def change_members(self, ids: Sequence[Sequence[str]]) -> None:
+        """Go on with these members of the groups; "" where nobody has a role."""
+        self._ids = [[*of] for of in ids]
 
     def look(self, now: Snapshot, pose: Pose) -> NearVehicles:
         """The vehicles of a snapshot, with the members of the groups where `pose` says."""
@@ -76,8 +80,8 @@ class Lookout:
         other = np.ones((*pose.s.shape, len(s)), dtype=bool)
         length, width = np.full(pose.s.shape, 5.0), np.full(pose.s.shape, 1.8)
         rows = np.zeros(pose.s.shape, dtype=int)
-        for g, group in enumerate(self._groups):
-            for role, vehicle in enumerate(group.ids):
+        for g, ids in enumerate(self._ids):
+            for role, vehicle in enumerate(ids):
                 row = now.row_of.get(vehicle)
                 if row is None:
                     continue

@@ -1,7 +1,7 @@
 """Runs a policy for all groups of a round: observed states in, one model call, commanded poses out."""
 
 from collections import deque
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +10,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from cosim.core import RoundCore
+from cosim.loop.graph_source import on_same_pairs
 from cosim.loop.guard import Guard
 from cosim.loop.nearby_vehicles import Around, nearby_vehicles
 from cosim.loop.observation import GroupObservation
@@ -18,6 +19,7 @@ from cosim.loop.state_layouts import Layout, Pose
 from cosim.perturb.effects import Effect
 from cosim.perturb.sensing_and_control import SensingAndControl
 from cosim.world.episode import COLUMNS, FilterUse
+from cosim.world.road_frame import model_offsets
 from cosim.world.snapshot import Snapshot
 from gri.core.graph import InteractionGraph
 from gri.core.nearby import Nearby
@@ -26,9 +28,10 @@ from gri.core.trajectory import Trajectory
 from gri.networks.fast_decoder import FewVehicles
 from gri.networks.model import RelationalModel
 
-_A = COLUMNS.index("a")
+_D, _A = COLUMNS.index("d"), COLUMNS.index("a")
 LARGEST = 1e6  # of any action in SI units, far beyond what a vehicle can do
 GraphOverride = Callable[[InteractionGraph, InteractionGraph | None], InteractionGraph]
+Newcomers = Callable[[InteractionGraph, Collection[int]], InteractionGraph]
 
 
 class PolicyRunner:
@@ -41,7 +44,8 @@ class PolicyRunner:
     vehicles have a view each, the policy gets the groups once per view, and each role is driven by its own view.
     `around` are the vehicles near the round at its start, for policies that look at them (`sees_nearby`).
     `graphs` are the graphs used so far, each with its time [s]; an effect on a vehicle is the one in the view that
-    drives it. `guard` changes actions before the vehicles carry them out.
+    drives it. `guard` changes actions before the vehicles carry them out. `with_newcomers` gives the graph of groups
+    in which others have some roles now.
     """
 
     def __init__(
@@ -58,6 +62,7 @@ class PolicyRunner:
         channels: SensingAndControl,
         around: Around | None = None,
         guard: Guard | None = None,
+        with_newcomers: Newcomers | None = None,
     ) -> None:
         assert policy.dynamics.name is layout.dynamics.name, f"cannot drive {policy.dynamics.name} states here"
         self._policy, self.layout, self._dt = policy, layout, dt
@@ -74,6 +79,9 @@ class PolicyRunner:
         self.pose = layout.pose(self._commanded)
         self._decided_at: float | None = None
         self._guard = guard
+        self._with_newcomers = with_newcomers
+        self._together_since = np.full(len(self._state), -np.inf)  # of each group, the last change of its members [s]
+        self._may_drive: Bool[np.ndarray, "G N"] | None = None  # None: all driven roles
         self._steps, self._took_over = 0, history[-1].time
         self.graphs: list[tuple[float, InteractionGraph]] = []
         self.failures: dict[int, str] = {}  # groups for which the policy has given no usable answer, and why
@@ -141,13 +149,59 @@ class PolicyRunner:
             if self._reinfer_steps and self._steps:
                 self._window.append(observed)
                 if self._steps % self._reinfer_steps == 0:
-                    self._memory = replace(self._memory, graph=self._infer_graph(self._memory.graph).graph)
+                    self._memory = replace(self._memory, graph=self._inferred_again(time))
                     self._record_graph(time)
             action, self._memory = self._act(_relative(observed))
         except PolicyFailure as failure:
             self._fail(range(len(self._state)), str(failure))
             return self._no_action(observed)
         return action
+
+    def _inferred_again(self, time: float) -> InteractionGraph | None:
+        """The new graph; the last one for groups that have not been together for a whole history."""
+        last = self._memory.graph
+        graph = self._infer_graph(last).graph
+        known = time - self._together_since >= self._policy.history_steps * self._period - 1e-6
+        if graph is None or last is None or known.all():
+            return graph
+        graph, last = on_same_pairs([graph, last])
+        return graph.where(torch.from_numpy(np.tile(known, self._channels.views)), last)
+
+    def change_roles(
+        self,
+        changed: Mapping[int, Collection[int]],
+        ids: Sequence[Sequence[str]],
+        lengths: Mapping[int, Float[np.ndarray, " N"]],
+        observation: GroupObservation,
+        driven: Bool[np.ndarray, "G N"],
+    ) -> None:
+        """Go on with other vehicles in the `changed` roles (by group).
+
+        `ids` are the members of all groups, `lengths` [m] those of the members of changed groups, `driven` says which
+        of them the policy still drives. `observation` has the new members. The place of a vehicle in the model's states
+        depends on the lengths of the vehicles behind it in the group, so all places move.
+        """
+        offset = self.layout.offset.copy()
+        for g, of in lengths.items():
+            offset[g] = model_offsets(of[None], self.layout.order)[0]
+        moved = offset - self.layout.offset
+        self.layout = self.layout.with_members(offset, observation.state[..., _D])
+        self._state, self._commanded = _farther(self._state, moved), _farther(self._commanded, moved)
+        in_views = np.tile(moved, (self._channels.views, 1))
+        self._window = deque((_farther(states, in_views) for states in self._window), self._window.maxlen)
+        self._may_drive, self._mask = driven, None
+        if self._guard is not None:
+            self._guard.lookout.change_members(ids)
+        graph, with_newcomers = self._memory.graph, self._with_newcomers
+        for g, roles in changed.items():
+            self._together_since[g] = observation.time
+            if graph is not None and with_newcomers is not None:
+                graph, with_them = on_same_pairs([graph, with_newcomers(graph, roles)])
+                others = torch.arange(len(graph)) % len(self._state) != g
+                graph = graph.where(others, with_them)
+        if graph is not None:
+            self._memory = replace(self._memory, graph=graph)
+            self._record_graph(observation.time)
 
     def _no_action(self, observed: Float[np.ndarray, "V N D"]) -> Float[Tensor, "V N A"]:
         return torch.zeros(*observed.shape[:2], len(self._dynamics.action))
@@ -267,6 +321,8 @@ class PolicyRunner:
         if self._mask is None or self._mask[0] != active:
             mask = np.zeros(self._state.shape[:2], dtype=bool)
             mask[np.ix_(active, self._driven_roles)] = True
+            if self._may_drive is not None:
+                mask &= self._may_drive
             self._mask = list(active), mask
         return self._mask[1]
 
@@ -285,6 +341,11 @@ def _graph_of_views(graph: InteractionGraph, view_of: Sequence[int]) -> Interact
         doubted = torch.stack([of_views[view, :, k] for view, k in own_view], 1)
     unknown = None if graph.unknown is None else graph.unknown.unflatten(0, (views, -1)).amax(0)
     return replace(graph, logits=of_receivers, unknown=unknown, in_doubt=doubted)
+
+
+def _farther(states: Float[np.ndarray, "G N D"], way: Float[np.ndarray, "G N"]) -> Float[np.ndarray, "G N D"]:
+    """The states with x farther by `way` [m]."""
+    return np.concatenate([states[..., :1] + way[..., None].astype(states.dtype), states[..., 1:]], -1)
 
 
 def _relative(state: Float[np.ndarray, "G N *T D"]) -> Float[Tensor, "G N *T D"]:

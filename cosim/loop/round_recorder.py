@@ -3,6 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -47,6 +48,11 @@ class Round:
         """The number of vehicles of a group."""
         return self.rule.size
 
+    @property
+    def others_join(self) -> bool:
+        """Whether a vehicle that comes between the members joins the group."""
+        return self.rule.newcomers == "join" and self.has_third_vehicle
+
     @cached_property
     def vehicles(self) -> tuple[str, ...]:
         """The vehicles of all groups."""
@@ -57,11 +63,24 @@ class Round:
         return tuple(self.groups[g].ids[role] for role in self.driven_roles)
 
 
-class RoundRecorder:
-    """The endings and events of a round so far; `width` [m] are the vehicles' widths."""
+@runtime_checkable
+class Members(Protocol):
+    """What is recorded of changing members (`cosim.loop.membership`)."""
 
-    def __init__(self, this_round: Round, width: Float[np.ndarray, "G N"]) -> None:
+    driven: Bool[np.ndarray, "G N"]
+
+    def driven_until(self, g: int, role: int) -> float: ...
+
+
+class RoundRecorder:
+    """The endings and events of a round so far; `width` [m] are the vehicles' widths.
+
+    `members` are those of groups that others may join.
+    """
+
+    def __init__(self, this_round: Round, width: Float[np.ndarray, "G N"], members: Members | None = None) -> None:
         self.round, self._width, self._driven_roles = this_round, width, list(this_round.driven_roles)
+        self._members = members
         self._undriven = np.array([role not in this_round.driven_roles for role in range(this_round.size)])
         self.steps_inside = np.zeros(len(this_round.groups), np.int64)  # of vehicle 0 in the target lane, at a stretch
         self.active = list(range(len(this_round.groups)))  # the groups that have not ended yet
@@ -78,7 +97,16 @@ class RoundRecorder:
     def driven(self, time: Float[np.ndarray, " T"], g: int, roles: Sequence[int]) -> Bool[np.ndarray, "T N"]:
         """The instants, from the first command to the end, at which these roles stood where they were commanded to."""
         when = (time > self.round.groups[g].time + 1e-6) & (time <= self.ends[g] + 1e-6)
-        return when[:, None] & np.array([role in roles for role in range(self.round.size)])
+        until = np.array([self._driven_until(g, role) for role in range(self.round.size)])
+        kept = time[:, None] < until - 1e-6
+        return when[:, None] & kept & np.array([role in roles for role in range(self.round.size)])
+
+    def driven_to_the_end(self, g: int) -> list[int]:
+        """The roles that a policy drives, of vehicles that had them from the take-over to the end."""
+        return [role for role in self._driven_roles if self._driven_until(g, role) == np.inf]
+
+    def _driven_until(self, g: int, role: int) -> float:
+        return np.inf if self._members is None else self._members.driven_until(g, role)
 
     def verify(self, observations: Sequence[GroupObservation], commanded: Sequence[tuple[Pose, Sequence[int]]]) -> None:
         """Record every driven vehicle that vanished, or whose place or speed is not as the dynamics say.
@@ -101,6 +129,8 @@ class RoundRecorder:
             for g in active:
                 for role in self._driven_roles:
                     vehicle = (self.round.groups[g].ids[role],)
+                    if observation.time > self._driven_until(g, role) - 1e-6:
+                        continue
                     if not valid[k, g, role]:
                         found[g].append(Event(observation.time, EventKind.VANISHED, vehicle))
                     elif not right[k, g, role]:
@@ -147,12 +177,16 @@ class RoundRecorder:
         """The groups that lack a vehicle, or have a driven one that is on no lane."""
         if observation.complete and "" not in snapshot.lane:
             return {}
-        present = np.logical_and.reduce(observation.valid, axis=1).tolist()
-        rows = observation.rows[:, self._driven_roles].tolist()
+        needed = observation.valid
+        rows = [of[self._driven_roles] for of in observation.rows]
+        if self._members is not None:  # only vehicle 0 has to be there
+            needed = needed[:, :1]
+            rows = [of[own] for of, own in zip(observation.rows, self._members.driven, strict=True)]
+        present = np.logical_and.reduce(needed, axis=1).tolist()
         off_road = {
             g: Ending.OFF_ROAD
             for g, driven in enumerate(rows)
-            if present[g] and not all(snapshot.lane[row] for row in driven)
+            if present[g] and not all(snapshot.lane[row] for row in driven.tolist())
         }
         return off_road | {g: Ending.LOST for g, all_present in enumerate(present) if not all_present}
 
@@ -169,6 +203,8 @@ class RoundRecorder:
         """What the group rule says of each group that has not ended yet."""
         this_round = self.round
         if not isinstance(this_round.rule, Merge):
+            if self._members is not None:  # whoever comes between joins
+                return [None] * len(this_round.groups)
             if end_conditions.all_follow(before, observation, snapshot, self.active, this_round.has_third_vehicle):
                 return [None] * len(this_round.groups)
             followers = observation.rows[:, :-1]
@@ -190,10 +226,13 @@ class RoundRecorder:
         rows = observation.rows[g]
         if not this_round.has_third_vehicle:
             rows = rows[[0, 1, 1]]  # no vehicle can be between vehicle 1 and itself
-        width = float(self._width[g, 0])
-        ending = end_conditions.merging(
-            before.state[g], observation.state[g], snapshot, rows, this_round.lanes, width, this_round.dt
-        )
+        width, now = float(self._width[g, 0]), observation.state[g]
+        if self._members is None:
+            ending = end_conditions.merging(
+                before.state[g], now, snapshot, rows, this_round.lanes, width, this_round.dt
+            )
+        else:
+            ending = end_conditions.merging_alone(now[0], this_round.lanes, width, this_round.dt)
         self.steps_inside[g] = self.steps_inside[g] + 1 if ending is Ending.MERGED else 0
         settled = self.steps_inside[g] * this_round.dt >= this_round.rule.settle - 1e-6
         return ending if ending is not Ending.MERGED or settled else None

@@ -1,8 +1,10 @@
 """A round that is ready to be driven, and what is seen of it while it is driven."""
 
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
 
 from cosim.loop.intervention import Intervention, NoIntervention, Observed
+from cosim.loop.membership import Membership
 from cosim.loop.nearby_vehicles import Around
 from cosim.loop.observation import GroupObservation
 from cosim.loop.round_recorder import Round
@@ -16,23 +18,31 @@ class RoundStart:
     """A round that is ready to be driven, or to be recorded while SUMO drives.
 
     `control` moves the driven vehicles, `intervention` perturbs the round, `now` is the take-over, `observations` are
-    the history up to it. Driving uses a start up; branches of the process may share it.
+    the history up to it. Driving uses a start up; branches of the process may share it. `members` are those of groups
+    that others may join, None where the groups end instead.
     """
 
     control: Control
     intervention: Intervention | NoIntervention
     now: Snapshot
     observations: tuple[GroupObservation, ...]
+    members: Membership | None = None
 
     @property
     def round(self) -> Round:
         return self.intervention.round
 
 
-def around_of(intervention: Intervention | NoIntervention, now: Snapshot) -> Around:
-    """The vehicles near the round, the members of its groups, and where the lane of a merge ends."""
+def around_of(
+    intervention: Intervention | NoIntervention, now: Snapshot, members: Sequence[Collection[str]] | None = None
+) -> Around:
+    """The vehicles near the round, the members of its groups, and where the lane of a merge ends.
+
+    `members` are those of groups that others may join.
+    """
     this_round, lanes = intervention.round, intervention.round.lanes
-    members = [intervention.members(g, now) for g in range(len(this_round.groups))]
+    if members is None:
+        members = [intervention.members(g, now) for g in range(len(this_round.groups))]
     end = lanes.source.end if lanes is not None and lanes.ends else None
     return Around(now, members, end, lanes.side if lanes is not None else 1)
 

@@ -3,7 +3,8 @@
 In model states every vehicle ahead counts as `NOMINAL_LENGTH` long (`cosim.world.road_frame.model_offsets`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from jaxtyping import Float
@@ -46,6 +47,11 @@ class LongitudinalLayout:
     lateral: Float[np.ndarray, "G N"]
     lines: tuple[LaneLine, ...] | None = None
     dynamics: Dynamics = POINT_MASS_1D
+    order: ClassVar[tuple[int, ...] | None] = None  # of the roles, from the rear to the front
+
+    def with_members(self, offset: Float[np.ndarray, "G N"], lateral: Float[np.ndarray, "G N"]) -> "LongitudinalLayout":
+        """The layout of groups with other members, which have these offsets and lateral positions [m]."""
+        return replace(self, offset=offset, lateral=lateral)
 
     def states(self, observed: Float[np.ndarray, "G N C"]) -> Float[np.ndarray, "G N 3"]:
         """Model states (float64) of vehicles with the features of COLUMNS."""
@@ -107,6 +113,12 @@ class PlanarLayout:
     lines: tuple[LaneLine, ...] | None = None
     ramp: RampPath | None = None
     dynamics: Dynamics = DUBINS
+    order: ClassVar[tuple[int, ...] | None] = (1, 0, 2)  # lag vehicle, merger, leader
+
+    def with_members(self, offset: Float[np.ndarray, "G N"], lateral: Float[np.ndarray, "G N"]) -> "PlanarLayout":
+        """The layout of groups with other members, which have these offsets [m]; the target lane stays."""
+        del lateral
+        return replace(self, offset=offset)
 
     def states(self, observed: Float[np.ndarray, "G N C"]) -> Float[np.ndarray, "G N 6"]:
         """Model states (float64) of vehicles with the features of COLUMNS."""
@@ -177,8 +189,8 @@ def layout_of(
     lines = tuple(line for line in found if line is not None) or None
     if isinstance(rule, CarFollowing):
         return LongitudinalLayout(model_offsets(length), observed[..., _D], lines)
-    # From the rear to the front: lag vehicle, merger, leader. The leader keeps to the centre of the target lane.
-    offsets, target, side = model_offsets(length, order=(1, 0, 2)), observed[:, 2:, _D], lanes.side if lanes else 1
+    # The leader keeps to the centre of the target lane.
+    offsets, target, side = model_offsets(length, PlanarLayout.order), observed[:, 2:, _D], lanes.side if lanes else 1
     ramp = RampPath(lanes.path, lanes.source.end, lanes.target.width) if lanes and lanes.path else None
     return PlanarLayout(offsets, target, road, side, lines, ramp)
 

@@ -12,6 +12,7 @@ from typing import ClassVar
 import numpy as np
 
 from cosim.loop import shadow_vehicles
+from cosim.loop.membership import Membership
 from cosim.loop.nearby_vehicles import Around
 from cosim.loop.observation import GroupObservation
 from cosim.loop.policy_runner import PolicyRunner
@@ -33,13 +34,14 @@ class PolicyControl:
     """The control of a policy over the driven roles of a round; `name` is the driver's name in the tables.
 
     `returning` are the vehicles that were handed back and are not yet on their own, `commanded` are the poses that were
-    commanded in each step so far, with the groups that were driven.
+    commanded in each step so far, with the groups that were driven. `members` are those of groups that others may join.
     """
 
     name: str
     round: Round
     runner: PolicyRunner
     returning: ReturningVehicles
+    members: Membership | None = None
     commanded: list[tuple[Pose, Sequence[int]]] = field(default_factory=list)
 
     @property
@@ -88,7 +90,7 @@ class PolicyControl:
             return
         this_round, pose = self.round, self.runner.pose
         self.commanded.append((pose, active))
-        places = [(g, role) for g in active for role in this_round.driven_roles]
+        places = [(g, role) for g in active for role in self._driven_roles(g)]
         vehicles = [this_round.groups[g].ids[role] for g, role in places]
         at = np.array([this_round.size * g + role for g, role in places])
         s, d, heading, v = (of.ravel()[at] for of in (pose.s, pose.d, pose.heading, pose.v))
@@ -101,6 +103,38 @@ class PolicyControl:
                     world, road, vehicle, pose.of(g, 0), this_round.lanes, now, this_round.dt
                 )
         world.command_all(vehicles, xy, along + road.side * heading, v, lanes)
+
+    def _driven_roles(self, g: int) -> Sequence[int]:
+        """The roles of a group that the policy drives at present."""
+        roles = self.round.driven_roles
+        return roles if self.members is None else [role for role in roles if self.members.driven[g, role]]
+
+    def change_roles(
+        self,
+        world: Sumo,
+        recorder: RoundRecorder,
+        observation: GroupObservation,
+        now: Snapshot,
+        changed: Mapping[int, Sequence[int]],
+    ) -> None:
+        """Let the policy know of new members, and hand back the driven vehicles that lost their role.
+
+        `observation` is that of the new members, as the policy gets it; `changed` are the roles by group.
+        """
+        assert self.members is not None
+        pose = self.runner.pose
+        for g, roles in changed.items():
+            for role in roles:
+                vehicle = self.members.ids[g][role]
+                if vehicle:
+                    recorder.add(g, Event(now.time, EventKind.JOINED, (vehicle,), f"as {role}"))
+                old = self.round.groups[g].ids[role]
+                if self.members.driven_until(g, role) == now.time and old in now.row_of:
+                    lateral_speed = float(pose.v[g, role] * np.sin(pose.heading[g, role]))
+                    self.returning.hand_back(world, old, float(pose.a[g, role]), lateral_speed, checked=True)
+                    recorder.add(g, Event(now.time, EventKind.HANDED_BACK, (old,), "left the group"))
+        lengths = {g: self.members.lengths(now, g) for g in changed}
+        self.runner.change_roles(changed, self.members.ids, lengths, observation, self.members.driven.copy())
 
     def with_commanded_acceleration(self, observation: GroupObservation, active: Sequence[int]) -> GroupObservation:
         """The observation with the dynamics' acceleration of the driven vehicles."""
@@ -122,20 +156,20 @@ class PolicyControl:
         """Begin to hand the driven vehicles of the groups that ended back to SUMO's drivers, or to stop them."""
         pose = self.runner.pose
         for g in sorted(ended):
-            ids = self.round.groups[g].ids
+            ids, roles = self._ids(g), self._driven_roles(g)
             must_stop = self._must_stop(world, recorder, observation, now, g)
             for vehicle, braking in must_stop.items():
                 a = observation.state[g, ids.index(vehicle), _A] if vehicle in ids else now.a[now.row_of[vehicle]]
                 self.returning.stop(world, vehicle, stop_of(now, road, vehicle, float(a), braking))
-            for role in self.round.driven_roles:
+            for role in roles:
                 if ids[role] not in must_stop and observation.valid[g, role]:
                     lateral_speed = float(pose.v[g, role] * np.sin(pose.heading[g, role]))
                     a, checked = float(observation.state[g, role, _A]), recorder.endings[g] is not Ending.CONTACT
                     self.returning.hand_back(world, ids[role], a, lateral_speed, checked=checked)
                 elif not observation.valid[g, role]:
                     world.remove_shadow(ids[role])
-            event = Event(observation.time, EventKind.HANDED_BACK, self.round.driven_ids(g), recorder.endings[g].value)
-            recorder.add(g, event)
+            driven = tuple(ids[role] for role in roles)
+            recorder.add(g, Event(observation.time, EventKind.HANDED_BACK, driven, recorder.endings[g].value))
 
     def _must_stop(
         self, world: Sumo, recorder: RoundRecorder, observation: GroupObservation, now: Snapshot, g: int
@@ -145,8 +179,8 @@ class PolicyControl:
         These are both vehicles of a contact, vehicle 0 at the end of its lane, and driven vehicles beside the road. An
         outsider in contact stops too, unless others command it, as they do recorded vehicles.
         """
-        ids, ending = self.round.groups[g].ids, recorder.endings[g]
-        driven = {ids[role] for role in self.round.driven_roles if observation.valid[g, role]}
+        ids, ending = self._ids(g), recorder.endings[g]
+        driven = {ids[role] for role in self._driven_roles(g) if observation.valid[g, role]}
         must_stop = {v for v in driven if not now.lane[now.row_of[v]] or (ending is Ending.LANE_END and v == ids[0])}
         braking = {vehicle: world.drivers.braking(vehicle) for vehicle in sorted(must_stop)}
         for pair in recorder.touching.get(g, ()):
@@ -155,6 +189,10 @@ class PolicyControl:
                 if vehicle in driven or not world.is_taken(vehicle):
                     braking[vehicle] = max(value, braking.get(vehicle, 0.0))
         return braking
+
+    def _ids(self, g: int) -> Sequence[str]:
+        """The present members of a group."""
+        return self.round.groups[g].ids if self.members is None else self.members.ids[g]
 
     def observe(self, observation: GroupObservation, active: Sequence[int], around: Around | None = None) -> None:
         """Show the policy the new states, and the vehicles around."""
@@ -188,6 +226,16 @@ class SumoControl:
         """The observation as it is."""
         del active
         return observation
+
+    def change_roles(
+        self,
+        world: Sumo,
+        recorder: RoundRecorder,
+        observation: GroupObservation,
+        now: Snapshot,
+        changed: Mapping[int, Sequence[int]],
+    ) -> None:
+        """Nobody has to be told."""
 
     def verify(self, observations: Sequence[GroupObservation], recorder: RoundRecorder) -> None:
         """Nothing was commanded."""

@@ -14,9 +14,13 @@ from gri.core.dynamics import DUBINS, POINT_MASS_1D
 from gri.core.merging_policy import MergingDriver
 from gri.core.policy import ConstantVelocity, IntelligentDriver, Policy
 from gri.errors import InputError
-from gri.networks.model import CHAIN
+from gri.networks.model import CHAIN, RelationalModel
+from gri.networks.next_ahead import FollowsNextAhead
 from gri.networks.pair_encoder import PairEncoder
 from gri.reference_drivers.drivers import DriverName
+
+NO_MEANING = "nri"
+"""The objective whose edge types have no meaning."""
 
 
 def driver_of(scenario: spec.Scenario, own: Policy | None = None) -> Driver | None:
@@ -56,7 +60,7 @@ def _models(traffic: spec.Traffic) -> str:
 
 def _with_meaning(source: spec.GraphSource, name: str) -> spec.GraphSource:
     """The source of the graph; NRI's types have no meaning of their own, so that nothing is decided by them."""
-    if name == "nri" and isinstance(source, spec.Inferred):
+    if name == NO_MEANING and isinstance(source, spec.Inferred):
         return msgspec.structs.replace(source, in_doubt="ignore")
     return source
 
@@ -94,19 +98,31 @@ def policy_of(scenario: spec.Scenario) -> Policy | None:
             policy: Policy = model if in_lane else MergingDriver(model)
         case spec.ConstantVelocity():
             policy = ConstantVelocity(period, POINT_MASS_1D if in_lane else DUBINS)
-        case spec.TrainedPolicy(checkpoint=name):
+        case spec.TrainedPolicy(checkpoint=name) as choice:
             path = checkpoint_path(name)
             model = checkpoint.load(path)
             check_vocabulary(model.config.vocabulary, scenario.group, path)
             given_chain = model.encoder is None and model.config.graph == CHAIN
             check_size(isinstance(model.encoder, PairEncoder) or given_chain, scenario.group, path)
-            policy = model
+            policy = model if choice.sees == "group" else _following_next_ahead(model, path)
         case spec.UserPolicy() as own:
             policy = own_policy(own, period)
         case spec.SumoModel(model=name):
             raise InputError(f"policy: got SUMO's model {name}, which drives no groups; add a share to the scenario")
     check_fit(policy, scenario)
     return policy
+
+
+def _following_next_ahead(model: RelationalModel, path: Path) -> FollowsNextAhead:
+    if (objective := checkpoint.objective(path)) == NO_MEANING:
+        raise InputError(
+            f"{path}: got policy.sees: everybody for a model of {objective}, whose edge types have no meaning, so"
+            " that it has not learned to follow; leave sees out, or choose another policy.checkpoint"
+        )
+    try:
+        return FollowsNextAhead(model)
+    except ValueError as error:
+        raise InputError(f"{path}: policy.sees: {error}; leave it out, or choose another policy.checkpoint") from None
 
 
 def check_fit(policy: Policy, scenario: spec.Scenario) -> None:

@@ -77,7 +77,8 @@ def _steps(number: np.int32, episode: Episode, counterpart: bool) -> pd.DataFram
     size = len(episode.order)
     towards = {name: np.full((n, size), np.nan) for name in ("gap", "ttc")}
     for name in towards:
-        towards[name][:, episode.order[:-1]] = getattr(episode, name)
+        values = np.where(episode.unchanged[:, None], getattr(episode, name), np.nan)  # lengths are of the take-over
+        towards[name][:, episode.order[:-1]] = values
     return pd.DataFrame(
         {
             "episode": number,
@@ -85,7 +86,7 @@ def _steps(number: np.int32, episode: Episode, counterpart: bool) -> pd.DataFram
             "counterpart": counterpart,
             "time": np.repeat(episode.time, size),
             "role": np.tile(np.arange(size, dtype=np.int8), n),
-            "vehicle": list(episode.group.ids) * n,
+            "vehicle": [vehicle for of in episode.members for vehicle in of],
             "present": episode.valid.ravel(),
             "driven": episode.driven.ravel(),
             "during_drive": np.repeat(episode.during_drive, size),
@@ -110,7 +111,7 @@ def groups_table(
 
 
 def _group(number: int, episode: Episode, expected: Mapping[tuple[int, int], EdgeType]) -> dict[str, Any]:
-    way = episode.during_drive
+    way = episode.during_drive & episode.unchanged
     after = (episode.time > episode.end + 1e-6)[:, None] & episode.valid[:, :-1]
     owned_jerk = np.abs(episode.jerk[way][1:, :-1])
     return {
@@ -122,6 +123,7 @@ def _group(number: int, episode: Episode, expected: Mapping[tuple[int, int], Edg
         "rule": "car_following" if episode.in_lane else "merge",
         "takeover_time": episode.group.time,
         "drive_duration": episode.end - episode.group.time,
+        "joined": len({change.time for change in episode.role_changes}),
         "ending": episode.ending.value,
         **outcome_columns(episode),
         **filter_columns(episode),

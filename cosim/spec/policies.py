@@ -11,9 +11,14 @@ DECISION_LIMIT = 30.0  # [s] of real time for one decision of a policy of the us
 
 
 class TrainedPolicy(Spec, frozen=True, kw_only=True, tag_field="kind", tag="gri"):
-    """A trained policy: the name of a released checkpoint, or the path of one."""
+    """A trained policy: the name of a released checkpoint, or the path of one.
+
+    It sees its `group`, under the graph. One that sees `everybody` also follows whoever is next ahead in its lane, in
+    the group or not (docs/groups-that-change.md).
+    """
 
     checkpoint: Place
+    sees: Literal["group", "everybody"] = "group"
 
 
 class Idm(Spec, frozen=True, kw_only=True, tag_field="kind", tag="idm"):

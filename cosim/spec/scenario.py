@@ -65,12 +65,17 @@ class Road(Spec, frozen=True, kw_only=True):
             raise ValueError(f"origin {self.origin!r} is not among the road's edges, expected one of {self.edges}")
 
 
+Newcomers = Literal["end", "join"]
+
+
 class CarFollowing(Spec, frozen=True, kw_only=True, tag_field="rule", tag="car_following"):
     """`size` vehicles in one lane during the whole history: 0 directly behind 1, 1 directly behind 2, and so on.
 
     The foremost is the leader, which SUMO drives. Net gaps [m], time gaps [s] and speeds [m/s] are limited at the end
     of the history. Speed differences [m/s] between follower and leader are limited during the whole history, because a
-    vehicle that still catches up, for example from a ramp, does not follow yet.
+    vehicle that still catches up, for example from a ramp, does not follow yet. `newcomers` says what happens where
+    another vehicle comes between two of the group, or one of them leaves the lane: the drive ends, or whoever is next
+    ahead joins the group (docs/groups-that-change.md).
     """
 
     min_gap: Gap = 2.0
@@ -79,6 +84,7 @@ class CarFollowing(Spec, frozen=True, kw_only=True, tag_field="rule", tag="car_f
     min_speed: Speed = 1.0
     max_speed_difference: SpeedLimit = 4.0
     size: Annotated[int, Meta(ge=2, le=8)] = USUAL_SIZE
+    newcomers: Newcomers = "end"
 
 
 class Merge(Spec, frozen=True, kw_only=True, tag_field="rule", tag="merge"):
@@ -88,7 +94,9 @@ class Merge(Spec, frozen=True, kw_only=True, tag_field="rule", tag="merge"):
     is the range of s [m] in which the group is taken over. With `across_edges` vehicles 1 and 2 may be on the edges
     before and after that lane, too. Net gaps [m], speeds [m/s] and speed differences [m/s] of vehicles 1 and 2 to
     vehicle 0 are limited at the end of the history, during which 1 and 2 keep their lane. The merge is complete once
-    vehicle 0 was in the target lane for `settle` [s]. Its `size` is always 3.
+    vehicle 0 was in the target lane for `settle` [s]. `newcomers` says what happens where another vehicle comes between
+    vehicles 1 and 2, or one of them leaves the lane: the drive ends, or whoever is next to vehicle 0 joins the group
+    (docs/groups-that-change.md). Its `size` is always 3.
     """
 
     lane: Place
@@ -99,6 +107,7 @@ class Merge(Spec, frozen=True, kw_only=True, tag_field="rule", tag="merge"):
     min_speed: Speed = 2.0
     max_speed_difference: SpeedLimit = 6.0
     settle: Duration = 2.0
+    newcomers: Newcomers = "end"
     size: int = USUAL_SIZE
 
     def __post_init__(self) -> None:

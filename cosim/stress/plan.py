@@ -62,7 +62,8 @@ BASELINES: dict[str, Driver] = {
 }
 OWN = "own"
 """The name of the policy of a scenario that names code (`kind: python`)."""
-FILTERED, PREDICTING = "rss", "predict"  # with a + after the name of a policy: the safety filter, the state predictor
+FILTERED, PREDICTING, AHEAD = "rss", "predict", "ahead"
+"""With a + after the name of a policy: the safety filter, the state predictor, `sees: everybody` of a trained one."""
 
 
 @dataclass(frozen=True)
@@ -262,6 +263,8 @@ def policies_of(names: Sequence[str], scenario: Scenario) -> dict[str, Driver]:
             raise InputError(
                 f"--policy: got {whole}, but SUMO's own drivers have no filter and no predictor; write sumo"
             )
+        if AHEAD in added and name in (*BASELINES, OWN):
+            raise InputError(f"--policy: got {whole}, but only trained policies can be told to follow who is ahead")
         if name in BASELINES:
             found[whole] = BASELINES[name]
             continue
@@ -281,7 +284,10 @@ def policies_of(names: Sequence[str], scenario: Scenario) -> dict[str, Driver]:
         checkpoint = known[0] if known else name
         checkpoint_path(checkpoint, "--policy")  # raises if there is no such checkpoint
         short = name.removesuffix(".safetensors").rpartition("/")[2]
-        found["+".join([short, *added])] = TrainedPolicy(checkpoint=checkpoint)
+        named = scenario.policy
+        as_named = isinstance(named, TrainedPolicy) and checkpoint == named.checkpoint and named.sees == "everybody"
+        sees = "everybody" if as_named or AHEAD in added else "group"
+        found["+".join([short, *added])] = TrainedPolicy(checkpoint=checkpoint, sees=sees)
     if len(found) < len(names):
         raise InputError(f"--policy: got {', '.join(names)}, expected each policy once, by different names")
     return found
@@ -298,7 +304,7 @@ def scenario_for(name: str, policy: Driver, scenario: Scenario) -> Scenario:
 def _parts(whole: str) -> tuple[str, list[str]]:
     """The name of a policy without its additions, and these."""
     name, added = whole, []
-    while (last := name.rpartition("+"))[2] in (FILTERED, PREDICTING):
+    while (last := name.rpartition("+"))[2] in (FILTERED, PREDICTING, AHEAD):
         name, added = last[0], [last[2], *added]
     return name, added
 

@@ -34,7 +34,7 @@ def result_row(
     leaves out the first step, which contains the jump of a displaced start. The follower is measured as long as any
     group of the round is driven.
     """
-    during = (episode.time > episode.group.time + 1e-6) & (episode.time <= episode.end + 1e-6)
+    during = (episode.time > episode.group.time + 1e-6) & (episode.time <= episode.end + 1e-6) & episode.unchanged
     own = [track_of_role(episode, role)[during] for role in episode.followers]
     names = [] if third_gone else [episode.group.leader]
     names += [change.successor] if change.successor is not None else []
@@ -47,6 +47,7 @@ def result_row(
         "intruders": _written(episode.intruders),
         "lane_entries": _written(episode.lane_entries),
         "drive_duration": episode.end - episode.group.time,
+        "joined": len({change.time for change in episode.role_changes}),
         "lateral_change": float(abs(d[-1, 1] - d[-1, 0]) - abs(d[0, 1] - d[0, 0])),
         **safety_measures(episode, names),
         **surrogate_safety.comfort([own[role][1:] for role in driven if len(own[role].time) > 1] or own),

@@ -75,6 +75,15 @@ class LaneEntry:
 
 
 @dataclass(frozen=True)
+class RoleChange:
+    """From `time` [s] on, `vehicle` has the role in the group; "" where nobody has it."""
+
+    time: float
+    role: int
+    vehicle: str
+
+
+@dataclass(frozen=True)
 class FilterUse:
     """How the safety filter changed the actions of the driven vehicles during a drive.
 
@@ -112,6 +121,7 @@ class EventKind(StrEnum):
     MISPLACED = "misplaced"  # place or speed of a commanded vehicle differ from the command
     VANISHED = "vanished"  # a commanded vehicle is no longer in the simulation
     TELEPORT = "teleport"
+    JOINED = "joined"  # a vehicle that was not in the group has a role in it now; the detail says which
     HARD_BRAKING = "hard_braking"  # after the hand-back
     RELEASED = "released"  # a recorded vehicle, to car following behind a driven vehicle or another released one
     POLICY_FAILED = "policy_failed"  # the time is that of the decision, the detail says what was wrong
@@ -139,7 +149,9 @@ class Episode:
     all members, `lane_entries` are lane changes of outsiders until AFTERMATH after the hand-back, `intruders` those of
     them that ended the drive as cut_in. `broken_up_by` is final after the comparison with the counterpart
     (`cosim.world.break_ups.compared`). `surroundings` are the vehicles around the group from the
-    take-over to AFTERMATH after the hand-back. `filter_use` is missing without a safety filter.
+    take-over to AFTERMATH after the hand-back. `filter_use` is missing without a safety filter. `role_changes` are
+    those of a group that others joined, in the order of time. Then `state` is that of whoever has a role, while
+    `length` and `width` stay those of the take-over.
     """
 
     driver: str
@@ -163,6 +175,29 @@ class Episode:
     broken_up_by: BrokenUpBy = BrokenUpBy.NOBODY
     surroundings: Surroundings | None = None
     filter_use: FilterUse | None = None
+    role_changes: tuple[RoleChange, ...] = ()
+
+    @property
+    def members(self) -> list[tuple[str, ...]]:
+        """The ids by role at each instant of `time`."""
+        ids, changes, found = [*self.group.ids], [*self.role_changes], []
+        for time in self.time.tolist():
+            while changes and changes[0].time <= time + 1e-6:
+                change = changes.pop(0)
+                ids[change.role] = change.vehicle
+            found.append(tuple(ids))
+        return found
+
+    @property
+    def unchanged(self) -> Bool[np.ndarray, " T"]:
+        """The instants before another vehicle joined the group."""
+        return self.time < min((change.time for change in self.role_changes), default=np.inf) - 1e-6
+
+    @property
+    def kept_roles(self) -> tuple[int, ...]:
+        """The judged roles of the vehicles that had them from the take-over on."""
+        changed = {change.role for change in self.role_changes}
+        return tuple(role for role in self.judged_roles if role not in changed)
 
     def feature(self, name: str) -> Float[np.ndarray, "T N"]:
         """One of COLUMNS."""
@@ -219,9 +254,14 @@ class Episode:
         This is the paper's success. Completed means driven to the horizon, or merged. Car following has all but the
         leader as followers, a merge has vehicle 0 behind the leader 2 (Sec. VI-E of the paper).
         """
-        s = self.feature("s")[np.flatnonzero(self.during_drive)[-1]]
+        last = np.flatnonzero(self.during_drive)[-1]
+        s, there = self.feature("s")[last], self.valid[last]
         followed = pairwise(self.order) if self.in_lane else ((0, 2),)
-        return self.ending in ARRIVED and all(s[ahead] - s[behind] >= SUCCESS_HEADWAY for behind, ahead in followed)
+        return self.ending in ARRIVED and all(
+            s[ahead] - s[behind] >= SUCCESS_HEADWAY
+            for behind, ahead in followed
+            if there[ahead] or not self.role_changes
+        )
 
     @property
     def counted_contacts(self) -> tuple[Contact, ...]:

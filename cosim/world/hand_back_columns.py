@@ -15,11 +15,11 @@ BRAKING = 2.0, 3.0  # [m/s²], thresholds below the 3.5 that drivers of the ship
 def hand_back_columns(episode: Episode) -> dict[str, float]:
     """Hardest braking within 5 s of the hand-back [m/s²], and greatest |jerk| within 10 s of it [m/s³].
 
-    Of the roles that a policy drives, also where the group was left to SUMO. The braking is positive, or 0 where no
-    vehicle brakes. The first jerk is the one from the last driven instant to the next. Not a number where none of the
-    vehicles is seen after the hand-back.
+    Of the roles that a policy drives, to the end, also where the group was left to SUMO. The braking is positive, or 0
+    where no vehicle brakes. The first jerk is the one from the last driven instant to the next. Not a number where none
+    of the vehicles is seen after the hand-back.
     """
-    roles = list(episode.judged_roles)
+    roles = list(episode.kept_roles)
     seen = episode.valid[:, roles]
     before = np.vstack([np.zeros_like(seen[:1]), seen[:-1]])
     return {

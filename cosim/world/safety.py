@@ -17,6 +17,8 @@ SAME_LANE = 2.0  # [m] across the road
 def safety_measures(episode: Episode, third: Sequence[str] | None = None) -> dict[str, float]:
     """The worst value of each measure of `conflicts`, from the first step after the take-over to the end of the drive.
 
+    Where another vehicle joins the group, they are those of the time before.
+
     Args:
         episode: with its surroundings; without them the measures to other vehicles are those of an empty road.
         third: the vehicles that count as the leader; by default the one that had this role at the take-over.
@@ -24,13 +26,15 @@ def safety_measures(episode: Episode, third: Sequence[str] | None = None) -> dic
     Other vehicles are measured where they are less than 80 m away from a driven one in its lane, or less than 25 m
     along the road in a lane beside it.
     """
-    driven = episode.judged_roles
-    during = (episode.time > episode.group.time + 1e-6) & (episode.time <= episode.end + 1e-6)
+    driven, end = episode.judged_roles, episode.end
+    if not episode.unchanged.all():  # another vehicle joined
+        end = min(end, float(episode.time[episode.unchanged][-1]))
+    during = (episode.time > episode.group.time + 1e-6) & (episode.time <= end + 1e-6)
     members = [track_of_role(episode, role)[during] for role in episode.followers]
     around = episode.surroundings
     if around is None:
         return conflicts([*members, track_of_role(episode, episode.order[-1])[during]], driven)
-    around = around[(around.time > episode.group.time + 1e-6) & (around.time <= episode.end + 1e-6)]
+    around = around[(around.time > episode.group.time + 1e-6) & (around.time <= end + 1e-6)]
     third = episode.group.ids[-1:] if third is None else third
     known = [around.ids.index(name) for name in third if name in around.ids]
     members += [track_of(around, np.flatnonzero(around.vehicle == k)) for k in known]

@@ -100,6 +100,19 @@ class InteractionGraph:
             doubted = torch.cat([self.in_doubt, self.in_doubt.new_zeros(len(self), 1)], 1)[:, rows]
         return replace(self, logits=every[:, rows], candidates=candidates, in_doubt=doubted)
 
+    def where(self, groups: Bool[Tensor, " B"], other: "InteractionGraph") -> "InteractionGraph":
+        """This graph for some groups, the other one, on the same pairs, for the rest."""
+        assert tuple(self.pairs) == tuple(other.pairs), "the graphs have different pairs"
+        doubted, unknown = None, None
+        if self.in_doubt is not None or other.in_doubt is not None:
+            nowhere = torch.zeros(self.logits.shape[:2], dtype=torch.bool)
+            one, two = (nowhere if graph.in_doubt is None else graph.in_doubt for graph in (self, other))
+            doubted = torch.where(groups[:, None], one, two)
+        if self.unknown is not None and other.unknown is not None:
+            unknown = torch.where(groups, self.unknown, other.unknown)
+        logits = torch.where(groups[:, None, None], self.logits, other.logits)
+        return replace(self, logits=logits, unknown=unknown, in_doubt=doubted)
+
     @property
     def probs(self) -> Float[Tensor, "B E K"]:
         """Probabilities of the edge types."""

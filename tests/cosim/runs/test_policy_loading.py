@@ -7,6 +7,8 @@ from cosim.runs.policy_loading import policy_of
 from cosim.spec.loading import load_scenario, override
 from cosim.spec.scenario import Idm
 from gri.errors import InputError
+from gri.networks.model import RelationalModel
+from gri.networks.next_ahead import FollowsNextAhead
 
 
 def test_a_policy_may_act_less_often_than_sumo_steps() -> None:
@@ -29,3 +31,13 @@ def test_a_period_that_does_not_fit_is_refused() -> None:
         policy_of(msgspec.structs.replace(scenario, policy_period=0.4))
     with pytest.raises(InputError, match=r"reinfer_s: got 0.3 s"):
         policy_of(msgspec.structs.replace(scenario, step=0.1, reinfer_s=0.3))
+
+
+def test_a_trained_policy_that_sees_everybody_follows_who_is_ahead():
+    scenario = load_scenario("us101_merge")
+    seeing = msgspec.structs.replace(scenario.policy, sees="everybody")
+    assert isinstance(policy_of(msgspec.structs.replace(scenario, policy=seeing)), FollowsNextAhead)
+    assert isinstance(policy_of(scenario), RelationalModel)
+    nri = msgspec.structs.replace(seeing, checkpoint="us101_merge_nri")
+    with pytest.raises(InputError, match="no meaning"):
+        policy_of(msgspec.structs.replace(scenario, policy=nri))

@@ -181,3 +181,15 @@ def test_bad_policies(scenario):
         policies_of(["nobody"], scenario)
     with pytest.raises(InputError, match="each policy once"):
         policies_of(["idm", "idm"], scenario)
+
+
+def test_ahead_after_a_name_lets_a_trained_policy_see_everybody():
+    scenario = load_scenario("us101_merge")
+    found = policies_of(["gri", "gri+ahead", "supervised+ahead+rss"], scenario)
+    assert {name: policy.sees for name, policy in found.items() if isinstance(policy, TrainedPolicy)} == {
+        "gri": "group",
+        "gri+ahead": "everybody",
+        "supervised+ahead+rss": "everybody",
+    }
+    with pytest.raises(InputError, match="only trained policies"):
+        policies_of(["idm+ahead"], scenario)
