@@ -20,11 +20,13 @@ class Limits:
     """The greatest and least acceleration [m/s²] of the next step, and the lateral position d [m] to steer to.
 
     Where that `place` is NaN, the policy steers. The greatest acceleration counts if both contradict each other.
+    `turned` are the greatest headings [rad] to the left and to the right, whoever steers; None: any.
     """
 
     along: Float[np.ndarray, "G N"]
     place: Float[np.ndarray, "G N"]
     least: Float[np.ndarray, "G N"]
+    turned: tuple[Float[np.ndarray, "G N"], Float[np.ndarray, "G N"]] | None = None
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,14 @@ def within(
         return Limited(new, changed, np.zeros(changed.shape, dtype=bool))
     steered = ~np.isnan(limits.place)
     new[..., 1] = np.where(steered, _yaw_acceleration_to(limits.place, state, layout, dt), action[..., 1])
+    if limits.turned is not None:
+        left, right = limits.turned if layout.side > 0 else limits.turned[::-1]
+        heading, yaw_rate = (state[..., dynamics.index(name)] for name in ("heading", "yaw_rate"))
+        decided = heading + yaw_rate * dt
+        wanted = yaw_rate + new[..., 1] * dt
+        turn = np.clip(wanted, (-right - decided) / dt, (left - decided) / dt)
+        steered = steered | (turn != wanted)
+        new[..., 1] = np.where(turn != wanted, (turn - yaw_rate) / dt, new[..., 1])
     return Limited(new, changed, steered)
 
 

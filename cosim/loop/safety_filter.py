@@ -63,7 +63,19 @@ class SafetyFilter:
             # Nobody ahead is in the way, and vehicle 1 waits; at a standstill vehicle 0 cannot move over.
             waited_for = self._moves_over(near, planned_across) & np.isinf(yielding[:, 0])
             least[:, 0] = np.where(waited_for & self._ends_soon(near) & (near.pose.v[:, 0] < SLOW), PULLING, -np.inf)
-        return Limits(along, self.steering, least)
+        return Limits(along, self.steering, least, self._greatest_headings(near))
+
+    def _greatest_headings(self, near: NearVehicles) -> tuple[Float[np.ndarray, "G N"], Float[np.ndarray, "G N"]]:
+        """The headings [rad] to the left and right at which the rear of a vehicle does not swing into one beside it.
+
+        A vehicle turns about its front, so its rear swings to the other side, the farther the slower it drives.
+        """
+        beside = near.other & (near.side_gap >= 0) & (near.gap_ahead < BESIDE) & (near.gap_behind < BESIDE)
+        found = []
+        for side in (-1.0, 1.0):  # a turn to the left needs room on the right
+            room = np.where(beside & (near.direction == side), near.side_gap, np.inf).min(-1) - SIDE_MARGIN
+            found.append(np.arcsin(np.clip(room / near.length, 0.0, 1.0)))
+        return found[0], found[1]
 
     def _along(self, near: NearVehicles, limit: Float[np.ndarray, "G N V"]) -> Float[np.ndarray, "G N"]:
         """The greatest acceleration behind everybody who is in the path, or will be soon."""
@@ -100,8 +112,9 @@ class SafetyFilter:
     ) -> Float[np.ndarray, "G N"]:
         """The greatest acceleration with which a merge gets room: vehicle 0 falls behind, and vehicle 1 lets it in.
 
-        As soon as vehicle 0 is to move over, it yields to who occupies the place and is farther ahead. Vehicle 1 keeps
-        the distance to it that it needs once vehicle 0 is in its lane. Both brake with YIELDING at most.
+        As soon as vehicle 0 is to move over, it yields to who occupies the place and is farther ahead, and to the
+        leader as long as that is beside it. Vehicle 1 keeps the distance to it that it needs once vehicle 0 is in its
+        lane. Both brake with YIELDING at most.
         """
         assert self.lanes is not None
         found = np.full(planned_across.shape, np.inf)
@@ -109,6 +122,8 @@ class SafetyFilter:
         if moves_over.any():
             milder = np.maximum(limit, -YIELDING)
             ahead = near.s > (near.pose.s - 0.5 * near.length)[:, :1]
+            leader = np.arange(near.s.shape[-1]) == near.row[:, 2:3]  # has the way as long as it is not passed
+            ahead |= leader & (near.s > (near.pose.s - near.length)[:, :1])
             found[:, 0] = np.where(occupied[:, 0] & self._in_target(near) & ahead, milder[:, 0], np.inf).min(-1)
             merging = np.take_along_axis(milder[:, 1], near.row[:, :1], -1)[:, 0]
             behind = near.pose.s[:, 1] < near.pose.s[:, 0]

@@ -182,3 +182,43 @@ def test_the_use_counts_steps_of_driven_vehicles_up_to_the_end():
         record.add(time, Limited(np.zeros((1, 3, 1)), np.array([changed]), none))
     use = record.of(0, [0, 1], end=0.4)
     assert (use.along, use.across, use.hardest) == (0.25, 0.0, 2.0)
+
+
+@pytest.mark.parametrize(("leader", "yields"), [(-4.0, True), (-4.9, True), (-5.1, False)])
+def test_a_vehicle_falls_behind_the_leader_that_is_beside_it(leader, yields):
+    """Both drive at 4 m/s, 80 m before the end of the lane. Once vehicle 0 has passed the leader, it goes ahead."""
+    lag, beside = (180.0, 3.5, 4.0, 0.0), (220.0 + leader, 3.5, 4.0, 0.0)
+    safety = SafetyFilter(RssFilter(), DT, LANES)
+    found = safety.limits(near((220.0, 0.0, 4.0, 0.0), members=(lag, beside)), np.zeros((1, 3)))
+    if yields:
+        assert found.along[0, 0] == pytest.approx(-2.0)
+        assert np.isinf(found.least[0, 0])
+    else:
+        assert found.least[0, 0] == pytest.approx(1.5)
+
+
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("steers", ["policy", "filter"])
+def test_a_rear_does_not_swing_into_a_vehicle_beside_it(side, steers):
+    """1 m is free on the left of a slow vehicle, 5 m long, that turns to the right as hard as it can."""
+    found = SafetyFilter(RssFilter(), DT).limits(near((0.0, 0.0, 1.0, 0.0), (-3.0, 3.0, 1.0, 0.0)), np.zeros((1, 3)))
+    assert found.turned is not None
+    left, right = found.turned
+    assert right[0, 0] == pytest.approx(np.arcsin(0.9 / 5.0))  # 0.1 m are kept
+    assert left[0, 0] == pytest.approx(np.pi / 2)
+    layout, state = planar(side), np.zeros((1, 3, 6))
+    state[..., DUBINS.index("v")] = 1.0
+    place = np.full((1, 3), np.nan if steers == "policy" else -20.0)
+    limit = Limits(found.along, place, found.least, found.turned)
+    action = np.stack([np.zeros((1, 3)), np.full((1, 3), -side * 2.0)], -1)
+    for _ in range(20):
+        limited = within(limit, state, action, layout, DT)
+        state = DUBINS.step(state, limited.action, DT)
+        heading = side * state[0, 0, DUBINS.index("heading")]
+        assert heading >= -right[0, 0] - 1e-9
+        assert heading <= 1e-9
+    assert heading == pytest.approx(-right[0, 0], abs=0.02), "it is not held back more than it has to be"
+    free = Limits(found.along, place, found.least)
+    for _ in range(20):
+        state = DUBINS.step(state, within(free, state, action, layout, DT).action, DT)
+    assert side * state[0, 0, DUBINS.index("heading")] < -right[0, 0] - 0.01
