@@ -15,6 +15,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pandas as pd
 import torch
@@ -204,6 +205,9 @@ def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     arguments.add_argument("--out", type=Path, default=Path("runs/ppo_merge"))
     arguments.add_argument("--scenario", default="us101_merge")
+    arguments.add_argument(
+        "--newcomers", choices=["end", "join"], default="join", help="what others do that come between"
+    )
     arguments.add_argument("--sees", choices=["group", "everybody"], default="everybody")
     arguments.add_argument("--steps", type=int, default=400_000)
     arguments.add_argument("--minutes", type=float, default=100.0, help="of training, of this call")
@@ -217,6 +221,8 @@ def main() -> None:
     torch.set_num_threads(1)
 
     scenario = load_scenario(given.scenario)
+    group = msgspec.structs.replace(scenario.group, newcomers=given.newcomers)
+    scenario = msgspec.structs.replace(scenario, group=group)
     changes = {"seed": TRAINING_SEED, "episodes": given.starts, "groups_at_once": 4, "watch": 4.0}
     traffic = DrivingVectorEnv(scenario, given.parallel, sees=given.sees, reward=REWARD, overrides=changes)
     train = Episodes(traffic)

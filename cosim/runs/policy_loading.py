@@ -1,5 +1,7 @@
 """From the policy that a scenario names to a policy object that fits the scenario."""
 
+from pathlib import Path
+
 import msgspec
 
 from cosim.loop.driving import Driver
@@ -104,7 +106,7 @@ def policy_of(scenario: spec.Scenario) -> Policy | None:
             check_vocabulary(model.config.vocabulary, scenario.group, path)
             given_chain = model.encoder is None and model.config.graph == CHAIN
             check_size(isinstance(model.encoder, PairEncoder) or given_chain, scenario.group, path)
-            policy = model if choice.sees == "group" else _following_next_ahead(model, path)
+            policy = model if choice.sees == "group" else following_next_ahead(model, path)
         case spec.UserPolicy() as own:
             policy = own_policy(own, period)
         case spec.SumoModel(model=name):
@@ -113,7 +115,8 @@ def policy_of(scenario: spec.Scenario) -> Policy | None:
     return policy
 
 
-def _following_next_ahead(model: RelationalModel, path: Path) -> FollowsNextAhead:
+def following_next_ahead(model: RelationalModel, path: Path) -> FollowsNextAhead:
+    """The model of a checkpoint as a policy that follows who is next ahead. Raises `InputError` where it cannot."""
     if (objective := checkpoint.objective(path)) == NO_MEANING:
         raise InputError(
             f"{path}: got policy.sees: everybody for a model of {objective}, whose edge types have no meaning, so"

@@ -13,6 +13,7 @@ import pandas as pd
 
 from cosim.loop.graph_source import graph_from_source
 from cosim.measures.statistics import Estimate, share
+from cosim.runs.policy_loading import following_next_ahead
 from cosim.runs.user_policy import own_policy
 from cosim.spec.input_files import checkpoint_path
 from cosim.spec.scenario import CarFollowing, GroundTruth, GroupRule, Merge, UserPolicy
@@ -30,6 +31,7 @@ from gri.reference_drivers.policy_in_grid import check_policy, drive_policy
 from gri.table import NBSP, Table
 
 GIVEN = "+given"  # after the name of a checkpoint: under the graph that the scene implies
+FOLLOWING = "+ahead"  # after the name of a checkpoint: it also follows whoever is next ahead in its lane
 BENCHMARKS = (DriverName.R157, DriverName.CAREFUL_HUMAN, DriverName.FSM, DriverName.RSS)
 NEEDLESS = 1.0  # [m/s]: slower by this beside a vehicle that stays in its lane is needless braking
 Drive = Callable[[Grid], Driven]
@@ -51,6 +53,8 @@ class GridResult:
 def driver_named(name: str, gri_checkpoint: str) -> Drive:
     """A reference driver, `idm`, `constant_velocity`, a checkpoint, `gri` (`gri_checkpoint`), or "file.py:Name".
 
+    After a checkpoint's name GIVEN tells it the graph, and `FOLLOWING` (at the end) lets it follow who is next ahead.
+
     Raises:
         InputError: there is no such policy, or it cannot drive in the grid.
     """
@@ -66,14 +70,17 @@ def driver_named(name: str, gri_checkpoint: str) -> Drive:
         policy: Policy = own_policy(UserPolicy(object=name), 1 / RATE)
         check_policy(policy)
         return partial(drive_policy, policy)
-    wanted = name.removesuffix(GIVEN)
-    model = checkpoint.load(checkpoint_path(gri_checkpoint if wanted == "gri" else wanted, "--policy"))
+    by_graph = name.removesuffix(FOLLOWING)
+    wanted = by_graph.removesuffix(GIVEN)
+    path = checkpoint_path(gri_checkpoint if wanted == "gri" else wanted, "--policy")
+    model = checkpoint.load(path)
     check_policy(model)
-    if not name.endswith(GIVEN):
-        return partial(drive_policy, model)
+    policy = model if by_graph == name else following_next_ahead(model, path)
+    if not by_graph.endswith(GIVEN):
+        return partial(drive_policy, policy)
     planar = model.dynamics.name is DynamicsName.DUBINS and model.config.vocabulary == LANE_CHANGING
     rule: GroupRule = Merge(lane="_0", zone=(0, 1)) if planar else CarFollowing()
-    return partial(drive_policy, model, change_graph=partial(graph_from_source, source=GroundTruth(), rule=rule))
+    return partial(drive_policy, policy, change_graph=partial(graph_from_source, source=GroundTruth(), rule=rule))
 
 
 def run_grid(name: str, grid: Grid, drivers: Mapping[str, Drive], progress: Progress = no_progress) -> GridResult:

@@ -66,3 +66,12 @@ def test_a_checkpoint_drives_with_its_own_graph_and_with_the_given_one():
 def test_who_cannot_drive_there_is_refused(name):
     with pytest.raises(InputError):
         driver_named(name, "us101_merge")
+
+
+def test_a_policy_that_follows_who_is_ahead_has_fewer_collisions():
+    """The same model reacts to a vehicle that has come into its lane, which its graph does not name."""
+    grid = Grid.of((50,), (20,), range(20, 60, 10), (0.5, 1.5))
+    alone, careful = (int(driver_named(name, "us101_merge")(grid).collided.sum()) for name in ("gri", "gri+ahead"))
+    assert careful < alone
+    with pytest.raises(InputError, match="no meaning"):
+        driver_named("us101_merge_nri+ahead", "us101_merge")
