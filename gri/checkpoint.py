@@ -116,11 +116,7 @@ def provenance(path: Path | str) -> dict[str, Any]:
 
 def objective(path: Path | str) -> str:
     """The objective that a model was trained with: "gri", "nri", "supervised", …; "gri" if the file does not say."""
-    name: Any = provenance(path)
-    for field in ("config", "objective", "type"):
-        name = name.get(field) if isinstance(name, dict) else None
-    name = name if isinstance(name, str) else "gri"
-    return name.removesuffix("_recorded").removesuffix("_told")
+    return _read(path)[0].objective
 
 
 def _read(path: Path | str) -> tuple[Header, dict[str, dict[str, Tensor]]]:

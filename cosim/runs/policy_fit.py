@@ -9,6 +9,9 @@ from gri.core.edges import FOLLOWING, LANE_CHANGING, Vocabulary
 from gri.errors import InputError
 from gri.storage.checkpoint_header import checked_header
 
+NO_MEANING = "nri"
+"""The objective whose edge types have no meaning."""
+
 
 def check_named_policy(scenario: spec.Scenario) -> None:
     """Check what can be checked of a scenario's policy before torch is imported; nothing of a user's own policy.
@@ -17,9 +20,11 @@ def check_named_policy(scenario: spec.Scenario) -> None:
         InputError: as `cosim.runs.policy_loading.policy_of`, which checks the rest.
     """
     match scenario.policy:
-        case spec.TrainedPolicy(checkpoint=name):
+        case spec.TrainedPolicy(checkpoint=name) as choice:
             path = checkpoint_path(name)
             header = checked_header(path)
+            if choice.sees == "everybody":
+                check_meaning(header.objective, path)
             check_vocabulary(header.vocabulary, scenario.group, path)
             any_size = header.config.get("pair_encoder") is not None or header.config.get("encoder") is None
             check_size(any_size, scenario.group, path)
@@ -49,6 +54,15 @@ def check_vocabulary(vocabulary: Sequence[str], rule: spec.GroupRule, path: Path
         raise InputError(
             f"{path}: got the edge vocabulary ({', '.join(vocabulary)}), the group rule"
             f" {spec.tag_of(rule)!r} wants ({', '.join(wanted)}); choose another policy.checkpoint"
+        )
+
+
+def check_meaning(objective: str, path: Path) -> None:
+    """Raise `InputError` where a model of this objective has not learned what it is to follow."""
+    if objective == NO_MEANING:
+        raise InputError(
+            f"{path}: got policy.sees: everybody for a model of {objective}, whose edge types have no meaning, so"
+            " that it has not learned to follow; leave sees out, or choose another policy.checkpoint"
         )
 
 

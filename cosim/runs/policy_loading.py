@@ -6,7 +6,7 @@ import msgspec
 
 from cosim.loop.driving import Driver
 from cosim.loop.own_policy import OwnPolicy
-from cosim.runs.policy_fit import check_layout, check_size, check_vocabulary
+from cosim.runs.policy_fit import NO_MEANING, check_layout, check_meaning, check_size, check_vocabulary
 from cosim.runs.user_policy import own_name, own_policy
 from cosim.spec import scenario as spec
 from cosim.spec.input_files import checkpoint_path
@@ -20,9 +20,6 @@ from gri.networks.model import CHAIN, RelationalModel
 from gri.networks.next_ahead import FollowsNextAhead
 from gri.networks.pair_encoder import PairEncoder
 from gri.reference_drivers.drivers import DriverName
-
-NO_MEANING = "nri"
-"""The objective whose edge types have no meaning."""
 
 
 def driver_of(scenario: spec.Scenario, own: Policy | None = None) -> Driver | None:
@@ -117,11 +114,7 @@ def policy_of(scenario: spec.Scenario) -> Policy | None:
 
 def following_next_ahead(model: RelationalModel, path: Path) -> FollowsNextAhead:
     """The model of a checkpoint as a policy that follows who is next ahead. Raises `InputError` where it cannot."""
-    if (objective := checkpoint.objective(path)) == NO_MEANING:
-        raise InputError(
-            f"{path}: got policy.sees: everybody for a model of {objective}, whose edge types have no meaning, so"
-            " that it has not learned to follow; leave sees out, or choose another policy.checkpoint"
-        )
+    check_meaning(checkpoint.objective(path), path)
     try:
         return FollowsNextAhead(model)
     except ValueError as error:

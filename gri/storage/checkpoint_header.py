@@ -35,6 +35,15 @@ class Header(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     reward_config: dict[str, Any] | None
     provenance: dict[str, Any]
 
+    @property
+    def objective(self) -> str:
+        """The objective that the model was trained with: "gri", "nri", …; "gri" if the file does not say."""
+        name: Any = self.provenance
+        for field in ("config", "objective", "type"):
+            name = name.get(field) if isinstance(name, dict) else None
+        name = name if isinstance(name, str) else "gri"
+        return name.removesuffix("_recorded").removesuffix("_told")
+
 
 def refuse_old_format(path: Path) -> None:
     """Raise `InputError` for a file of torch."""
