@@ -283,8 +283,13 @@ def comfort(tracks: Sequence[Track]) -> dict[str, float]:
     """Comfort of all these vehicles together.
 
     Keys: jerk_50, jerk_95, jerk_99 [m/s³] (quantiles of |jerk|), min_acceleration [m/s²], and the numbers of times that
-    a vehicle begins to brake harder than 2, 3 and 4.5 m/s²: brakings_2, brakings_3, hard_brakings.
+    a vehicle begins to brake harder than 2, 3 and 4.5 m/s²: brakings_2, brakings_3, hard_brakings. Without any instant
+    all are NaN.
     """
+    tracks = [track for track in tracks if len(track.time)]
+    if not tracks:
+        names = [f"jerk_{100 * q:.0f}" for q in JERK_QUANTILES] + [f"brakings_{x:.0f}" for x in BRAKING]
+        return dict.fromkeys([*names, "min_acceleration", "hard_brakings"], np.nan)
     size = np.abs(np.concatenate([jerk(track) for track in tracks]))
     quantiles = np.quantile(size, JERK_QUANTILES) if len(size) else np.zeros(len(JERK_QUANTILES))
     return {

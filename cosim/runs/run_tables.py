@@ -113,7 +113,7 @@ def groups_table(
 def _group(number: int, episode: Episode, expected: Mapping[tuple[int, int], EdgeType]) -> dict[str, Any]:
     way = episode.during_drive & episode.unchanged
     after = (episode.time > episode.end + 1e-6)[:, None] & episode.valid[:, :-1]
-    owned_jerk = np.abs(episode.jerk[way][1:, :-1])
+    owned_jerk = np.abs(episode.jerk[way][1:, :-1])  # empty where another vehicle joined in the first step
     return {
         "episode": np.int32(number),
         "driver": episode.driver,
@@ -130,7 +130,7 @@ def _group(number: int, episode: Episode, expected: Mapping[tuple[int, int], Edg
         **_inferred_graph_columns(episode, expected),
         **safety_measures(episode),
         "mean_speed": float(episode.feature("v")[way][:, :-1].mean()),
-        "jerk_within_3": float((owned_jerk <= 3).mean()),
+        "jerk_within_3": float((owned_jerk <= 3).mean()) if owned_jerk.size else np.nan,
         "min_acceleration": float(episode.feature("a")[way][:, :-1].min()),
         **_brakings(episode, way, ""),
         **_brakings(episode, episode.time > episode.end + 1e-6, "_after"),

@@ -37,11 +37,11 @@ def safety_measures(episode: Episode, third: Sequence[str] | None = None) -> dic
     around = around[(around.time > episode.group.time + 1e-6) & (around.time <= end + 1e-6)]
     third = episode.group.ids[-1:] if third is None else third
     known = [around.ids.index(name) for name in third if name in around.ids]
-    members += [track_of(around, np.flatnonzero(around.vehicle == k)) for k in known]
+    leaders = [track_of(around, np.flatnonzero(around.vehicle == k)) for k in known]
     others = _near(episode, driven, around)
     own = [k for k, name in enumerate(around.ids) if name in episode.group.ids[:-1]]
     return conflicts(
-        [member for member in members if len(member.time)],
+        [*members, *(leader for leader in leaders if len(leader.time))],
         driven,
         list(_unbroken(others[~np.isin(others.vehicle, [*own, *known])], episode.time)),
     )

@@ -458,3 +458,11 @@ def test_the_least_distance_of_many_pairs_is_that_of_every_pair():
         least = min(float(surrogate_safety.box_distance(*pair).min()) for pair in pairs)
         assert surrogate_safety._least_distance(pairs) == least
     assert surrogate_safety._least_distance([]) == np.inf
+
+
+def test_comfort_without_an_instant_is_unknown():
+    nothing = track(0.0, 1.0, time=[])
+    assert all(np.isnan(value) for value in surrogate_safety.comfort((nothing, nothing)).values())
+    one = surrogate_safety.comfort((nothing, track(0.0, 1.0, time=[0.0], a=-5.0)))
+    assert (one["min_acceleration"], one["hard_brakings"]) == (-5.0, 1.0)
+    assert one.keys() == surrogate_safety.comfort((nothing,)).keys()

@@ -28,7 +28,7 @@ from cosim.runs.run_tables import (
 )
 from cosim.runs.summary import shortest_time, summary, summary_records, summary_table
 from cosim.spec.scenario import AFTERMATH
-from cosim.world.episode import COLUMNS, BrokenUpBy, Contact, Ending, Episode, Event, EventKind
+from cosim.world.episode import COLUMNS, BrokenUpBy, Contact, Ending, Episode, Event, EventKind, RoleChange
 from cosim.world.groups import Group
 from gri.core.graph import FOLLOWING, EdgeType, InteractionGraph, pairs
 from gri.errors import InputError
@@ -494,3 +494,19 @@ def test_pictures_are_drawn_for_every_kind_of_graph(tmp_path, edges):
 def test_large_groups_report_their_neighbours_and_small_ones_all_pairs():
     assert set(reported_pairs(5)) == {(i, j) for i in range(5) for j in (i - 1, i + 1) if 0 <= j < 5}
     assert set(reported_pairs(3)) == {(i, j) for i in range(3) for j in range(3) if i != j}
+
+
+def test_a_group_that_another_vehicle_joins_in_the_first_step():
+    """Its measures are those before the change; of the drive itself there is nothing left to measure."""
+    joined = replace(episode(), role_changes=(RoleChange(101.2, 2, "d"), RoleChange(101.2, 1, "c")))
+    assert joined.members[0] == ("a", "b", "c")
+    assert joined.members[-1] == ("a", "c", "d")
+    assert joined.kept_roles == (0,)
+    (group,) = groups_table([joined], CHAIN).to_dict("records")
+    assert group["joined"] == 1
+    assert np.isnan(group["jerk_within_3"])
+    assert group["mean_speed"] == 10.0, "at the take-over"
+    assert group["completed"]
+    vehicles = steps_table([joined]).pivot_table(index="time", columns="role", values="vehicle", aggfunc="first")
+    assert vehicles.loc[101.0].tolist() == ["a", "b", "c"]
+    assert vehicles.loc[101.2].tolist() == ["a", "c", "d"]
