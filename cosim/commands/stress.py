@@ -19,7 +19,8 @@ def stress(
         typer.Option(
             help="Policies, separated by commas: idm, constant_velocity, sumo, gri (the scenario's checkpoint),"
             " supervised, own (the scenario's policy of kind: python), names and paths of checkpoints, or reference"
-            " drivers (r157, careful_human, fsm, rss). With +rss at the end, such as gri+rss: with the safety filter."
+            " drivers (r157, careful_human, fsm, rss). With +rss at the end, such as gri+rss: with the safety filter;"
+            " with +predict: told what late states are by now; with +ahead: also follows who is ahead in its lane."
         ),
     ] = "gri,idm,sumo",
     perturbation: Annotated[

@@ -21,6 +21,8 @@ from gri.core.trajectory import Trajectory
 from gri.networks.model import RelationalModel
 from gri.networks.pair_encoder import LENGTH
 
+LOOK_AHEAD = 1.0  # [s] in which a vehicle that moves over counts as in the path, as in the safety filter
+
 
 class FollowsNextAhead:
     """`model` under its graph, and behind the next vehicle ahead; a `Policy` that looks at the vehicles nearby.
@@ -86,12 +88,18 @@ class FollowsNextAhead:
     ) -> tuple[Float[Tensor, "B N"], Float[Tensor, "B N D"]]:
         """Net gap [m] from each vehicle to the next one ahead in its path, inf where there is none, and its state.
 
-        A member of the group is known with its whole state. Of others only place and speed are; they count as driving
-        straight on at a constant speed, beside nobody.
+        A member of the group is known with its whole state, and in the path as soon as it will be within `LOOK_AHEAD`.
+        Of others only place and speed are known; they count as driving straight on at a constant speed, beside nobody.
         """
-        y = state[..., 1] if "y" in self.dynamics.state else torch.zeros_like(state[..., 0])
+        planar = "y" in self.dynamics.state
+        y = state[..., 1] if planar else torch.zeros_like(state[..., 0])
         ahead, across = _from_each(state[..., 0]), _from_each(y)
-        in_path: Bool[Tensor, "B N N"] = (across.abs() < OWN_WIDTH) & (ahead > 0)
+        beside = across.abs()
+        if planar:
+            heading = state[..., self.dynamics.index("heading")]
+            sideways = _from_each(state[..., self.dynamics.speed] * heading.sin())
+            beside = beside - (-across.sign() * sideways).clamp_min(0.0) * LOOK_AHEAD
+        in_path: Bool[Tensor, "B N N"] = (beside < OWN_WIDTH) & (ahead > 0)
         gaps = torch.where(in_path, ahead - LENGTH, torch.inf)
         gap, which = gaps.min(-1)
         other = torch.take_along_dim(state, which[..., None], 1)
@@ -100,7 +108,7 @@ class FollowsNextAhead:
         outside, v = nearby.next_ahead()
         outsider = torch.zeros_like(other)
         outsider[..., 0] = state[..., 0] + torch.where(outside.isfinite(), outside, 0.0) + LENGTH
-        if "y" in self.dynamics.state:
+        if planar:
             outsider[..., 1] = y
         outsider[..., self.dynamics.speed] = v
         nearer = outside < gap

@@ -79,6 +79,16 @@ def test_who_is_next_ahead(merge):
     assert policy.next_ahead(now, nearby(15.0, 3.6, 3.0))[0][0].tolist() == policy.next_ahead(now, None)[0][0].tolist()
 
 
+@pytest.mark.parametrize(("heading", "followed"), [(0.0, False), (0.2, True), (-0.2, False)])
+def test_a_vehicle_that_moves_over_is_in_the_path_a_second_before(merge, heading, followed):
+    """Vehicle 0 is 3 m beside vehicle 1 and ahead of it; at 10 m/s and 0.2 rad it comes 2 m nearer in a second."""
+    now = state((-10.0, -3.0, 10.0), (-30.0, 0.0, 10.0), (500.0, 0.0, 10.0))
+    now[0, 0, merge.dynamics.index("heading")] = heading
+    gap, _ = FollowsNextAhead(merge).next_ahead(now, None)
+    assert gap[0, 1].item() == pytest.approx(15.0 if followed else 525.0)
+    assert gap[0, 0].item() == pytest.approx(505.0) if followed else gap[0, 0].item() == float("inf")
+
+
 def test_a_vehicle_of_the_surrounding_traffic_is_followed(merge):
     policy, now, given = FollowsNextAhead(merge), state(*BESIDE), memory(merge, MERGE)
     free, held = (policy.act(given, now, near)[0][0, 0, 0] for near in (None, nearby(12.0, 0.0, 2.0)))
