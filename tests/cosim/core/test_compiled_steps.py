@@ -22,6 +22,7 @@ from cosim.spec.loading import load_scenario
 from cosim.spec.scenario import RssFilter
 from cosim.traffic.running_simulation import RunningSimulation, simulation
 from cosim.traffic.simulation_input import SumoFiles, prepare_simulation
+from cosim.traffic.warm_up import warm_up as warmed_up
 from cosim.world.episode import Episode
 from cosim.world.snapshot import Snapshot
 from gri.core.policy import IntelligentDriver
@@ -115,7 +116,7 @@ def compare(name: str, tmp_path, *, groups: int = 4, warm_up: float = 120.0, rou
     inputs.write()
     found = []
     with simulation(inputs) as running:
-        trunk = Trunk(running, inputs.scenario, warm_up(running.world, inputs.scenario, lambda *_: None))
+        trunk = Trunk(running, inputs.scenario, warmed_up(running.world, inputs.scenario, lambda *_: None))
         while len(found) < rounds:
             history = trunk.observe_history()
             this_round = trunk.find_groups(history, limit=groups)
