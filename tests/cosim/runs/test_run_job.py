@@ -24,7 +24,7 @@ def test_shipped_nets_are_found_by_name_and_by_path(name):
 
 
 def test_unknown_net():
-    with pytest.raises(InputError, match=r"no net 'us102'.*shipped name \(curved, i80, us101\)"):
+    with pytest.raises(InputError, match=r"no net 'us102'.*shipped name \(curved, highway, i80, us101\)"):
         find_net("us102")
 
 
