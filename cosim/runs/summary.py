@@ -37,11 +37,12 @@ def summary(groups: pd.DataFrame, counterparts: pd.DataFrame, asked: int | None 
     If more groups were `asked` for than there are, the number of groups says so.
     """
     parts = [part for part in (groups, counterparts) if len(part)]
-    rows = [[value(part) for part in parts] for _, value in _ROWS]
+    shown = [(label, value) for label, value in _ROWS if label != _JOINED or any(map(_any_joined, parts))]
+    rows = [[value(part) for part in parts] for _, value in shown]
     if asked is not None and asked > len(groups):
         rows[0] = [f"{n} of {asked}" for n in rows[0]]
     columns = [driver_name(part["driver"].iloc[0]) for part in parts]
-    return pd.DataFrame(rows, index=[_label(label, parts[0]) for label, _ in _ROWS], columns=columns)
+    return pd.DataFrame(rows, index=[_label(label, parts[0]) for label, _ in shown], columns=columns)
 
 
 def _label(label: str, groups: pd.DataFrame) -> str:
@@ -123,6 +124,13 @@ def _contacts(groups: pd.DataFrame) -> str:
     return f"{int((contact & ~after).sum())} / {int((contact & after).sum())}"
 
 
+_JOINED = "joined by other vehicles"
+
+
+def _any_joined(groups: pd.DataFrame) -> bool:
+    return "joined" in groups and bool((groups["joined"] > 0).any())
+
+
 def _broken_up(groups: pd.DataFrame) -> str:
     counts = groups["broken_up_by"].value_counts()
     return " / ".join(str(counts.get(cause, 0)) for cause in ("policy", "others", "unknown"))
@@ -197,6 +205,7 @@ _ROWS: tuple[Row, ...] = (
     ("  completed", lambda g: _of(int(g["completed"].sum()), len(g))),
     ("  order kept", lambda g: _of(int(g["order_kept"].sum()), len(g))),
     ("broken up by policy/others/unknown", _broken_up),
+    (_JOINED, lambda g: _of(int((g["joined"] > 0).sum()), len(g)) if "joined" in g else "-"),
     ("too late, lane end, or off the road", _other_endings),
     (f"{_LEADER} as without the policy", _isolated),
     ("inferred edges", _edges),

@@ -510,3 +510,10 @@ def test_a_group_that_another_vehicle_joins_in_the_first_step():
     vehicles = steps_table([joined]).pivot_table(index="time", columns="role", values="vehicle", aggfunc="first")
     assert vehicles.loc[101.0].tolist() == ["a", "b", "c"]
     assert vehicles.loc[101.2].tolist() == ["a", "c", "d"]
+
+
+def test_the_summary_counts_groups_that_others_joined_where_there_are_some():
+    joined = replace(episode(), role_changes=(RoleChange(102.0, 2, "d"),))
+    with_them, without = (groups_table([*of], CHAIN) for of in ((joined, episode()), (episode(), episode())))
+    assert summary(with_them, without).loc["joined by other vehicles"].tolist()[0] == "1 of 2"
+    assert "joined by other vehicles" not in summary(without, without).index
