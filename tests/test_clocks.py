@@ -17,6 +17,7 @@ WALL = {
 }
 ALLOWED = {
     "gri/storage/verification.py": "how old a file is: tests/gri/storage/test_verification.py lets the clock jump",
+    "gri/storage/scratch.py": "how old a folder of a killed command is",
     "gri/storage/claims.py": "since when a folder is claimed, for people to read",
     "cosim/show/export/commonroad.py": "the date in an exported file",
 }
