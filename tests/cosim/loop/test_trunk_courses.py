@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+import torch
 from msgspec.structs import replace
 
 from cosim.loop.closed_loop import follow, run
@@ -84,11 +85,12 @@ def alone_in_another_process(scenarios, folder: Path):
     """Parts of the outcomes of runs alone, in a process without the simulation of the fixture."""
     (folder / "scenarios").write_bytes(pickle.dumps(scenarios))
     code = "import sys; from tests.cosim.loop.test_trunk_courses import run_alone; run_alone(sys.argv[1])"
-    subprocess.run([sys.executable, "-c", code, str(folder)], check=True, cwd=Path(__file__).parents[3])
+    subprocess.run([sys.executable, "-c", code, str(folder)], check=True, timeout=900, cwd=Path(__file__).parents[3])
     return pickle.loads((folder / "parts").read_bytes())
 
 
 def run_alone(folder: str) -> None:
+    torch.set_num_threads(1)  # as in every process that drives: a fork has no other threads of its parent
     parts = []
     for scenario in pickle.loads(Path(folder, "scenarios").read_bytes()):
         files = SumoFiles(find_net(scenario.net), Path(folder, "r.rou.xml"), Path(folder, "sumo.log"))
