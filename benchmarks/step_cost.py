@@ -1,6 +1,6 @@
 """Whole co-simulation step with driven groups ÷ bare SUMO stepping of the same traffic, side by side in one run.
 
-    python benchmarks/step_cost.py [--scenario us101_car_following] [--groups 10] [--rounds 5]
+    python benchmarks/step_cost.py [--scenario us101_car_following] [--groups 10] [--rounds 5] [--set FIELD=VALUE]
 
 Both sides are branches of one warmed-up simulation and start from the same state. One steps the traffic bare, one with
 the groups driven (reading, inference of the graph, model, commands, collision test and recording included). They take
@@ -95,9 +95,11 @@ def main() -> None:
     parser.add_argument("--scenario", default="us101_car_following")
     parser.add_argument("--groups", type=int, default=10)
     parser.add_argument("--rounds", type=int, default=5)
+    parser.add_argument("--set", action="append", default=[], metavar="FIELD=VALUE")
     options = parser.parse_args()
     torch.set_num_threads(1)
-    scenario = replace(load_scenario(options.scenario), groups_at_once=options.groups, watch=0.0)
+    scenario = load_scenario(options.scenario, settings=options.set)
+    scenario = replace(scenario, groups_at_once=options.groups, watch=0.0)
     driver = driver_of(scenario)
     assert driver is not None, "the scenario has no policy that drives"
     with tempfile.TemporaryDirectory() as scratch:
