@@ -33,14 +33,14 @@ class RoundFields(ctypes.Structure):
         ("settle", ctypes.c_double),
         ("road", ctypes.c_double * 10),
         *((name, _INTEGER) for name in ("groups", "size", "features", "every", "side", "records", "merge")),
-        ("has_third", _INTEGER),
-        *((name, _ADDRESS) for name in ("drives", "offset", "across", "width", "strips")),
+        *((name, _INTEGER) for name in ("has_third", "join")),
+        *((name, _ADDRESS) for name in ("offset", "across", "width", "strips")),
         ("pairs", _INTEGER),
         ("pair_ends", _ADDRESS),
-        ("loops", _ADDRESS * 10),
+        ("loops", _ADDRESS * 12),
         ("matrix", Array),
         *((name, _ADDRESS) for name in ("state", "commanded", "pose", "before", "action", "active", "shadowed")),
-        ("inside", _ADDRESS),
+        *((name, _ADDRESS) for name in ("driven", "inside")),
         ("shadow_call", ShadowCall),
         ("step_call", StepCall),
     )
@@ -85,7 +85,8 @@ def library() -> Any:
     core.core_new.argtypes = ctypes.POINTER(RoundFields), *[ctypes.c_char_p] * 3
     core.core_delete.argtypes = (_ADDRESS,)
     core.core_start.argtypes = _ADDRESS, ctypes.c_double, ctypes.c_char_p, _ADDRESS, ctypes.c_char_p
-    core.core_policy.argtypes = _ADDRESS, ctypes.POINTER(PolicyFields)
+    core.core_policy.argtypes = _ADDRESS, ctypes.POINTER(PolicyFields), ctypes.c_int
+    core.core_members.argtypes = _ADDRESS, ctypes.c_char_p, _ADDRESS
     core.core_ahead.argtypes = _ADDRESS, ctypes.c_char_p, _INTEGER, _ADDRESS
     core.core_taken.argtypes = _ADDRESS, ctypes.c_char_p
     core.core_watch.argtypes = _ADDRESS, ctypes.c_char_p

@@ -12,6 +12,14 @@ import numpy as np
 
 _HEAD = object.__basicsize__
 _FLOAT, _DOUBLE = 11, 12  # numpy's numbers of its types
+WANTED = (
+    (np.matmul, _FLOAT),
+    (np.matmul, _DOUBLE),
+    (np.tanh, _FLOAT),
+    (np.cos, _DOUBLE),
+    (np.sin, _DOUBLE),
+    (np.sin, _FLOAT),
+)
 
 
 class _UFunc(ctypes.Structure):
@@ -40,13 +48,12 @@ _LOOP = ctypes.CFUNCTYPE(
 
 @lru_cache(maxsize=1)
 def loops() -> tuple[int | None, ...] | None:
-    """Addresses of matmul (float32), matmul (float64), tanh (float32), cos and sin (float64), each with its data.
+    """Addresses of the loops of `WANTED`, each with its data.
 
     None where this version of numpy is laid out otherwise.
     """
-    wanted = ((np.matmul, _FLOAT), (np.matmul, _DOUBLE), (np.tanh, _FLOAT), (np.cos, _DOUBLE), (np.sin, _DOUBLE))
-    found = [_loop(function, kind) for function, kind in wanted]
-    if any(loop is None or not _gives_the_same(*of, *loop) for of, loop in zip(wanted, found, strict=True)):
+    found = [_loop(function, kind) for function, kind in WANTED]
+    if any(loop is None or not _gives_the_same(*of, *loop) for of, loop in zip(WANTED, found, strict=True)):
         return None
     return tuple(address for loop in found if loop is not None for address in loop)
 

@@ -29,7 +29,7 @@ class RoundFacts:
     of each group, and y counts to its `side`. `matrix` [I, D] is that of the dynamics, `every` the number of steps
     between two actions. `is_euler` is off with SUMO's ballistic update. `before` is the state at the take-over.
     A vehicle has merged after `settle` [s] in the target lane; `steps_inside` counts its steps there so
-    far, and is shared with the caller.
+    far, and is shared with the caller. With `others_join` the members of groups change.
     """
 
     dt: float
@@ -49,6 +49,7 @@ class RoundFacts:
     before: Float[np.ndarray, "G N C"]
     settle: float
     steps_inside: Int[np.ndarray, " G"]
+    others_join: bool = False
 
 
 @dataclass(frozen=True)
@@ -75,9 +76,9 @@ class Steps:
 class RoundCore:
     """Steps one round in compiled code.
 
-    `state`, `commanded` (model states [G, N, D]), `action` [G, N, A], `pose` [5, G, N], `active` [G] and `shadowed` [G]
-    are shared with that code: what is written into them before a call counts. `change_shadow` (group, wanted) adds or
-    removes the shadow of a merging vehicle, `before_step` is called before every step.
+    `state`, `commanded` (model states [G, N, D]), `action` [G, N, A], `pose` [5, G, N], `active` [G], `shadowed` [G]
+    and `driven` [G, N] are shared with that code: what is written into them before a call counts. `change_shadow`
+    (group, wanted) adds or removes the shadow of a merging vehicle, `before_step` is called before every step.
     """
 
     def __init__(
@@ -91,6 +92,8 @@ class RoundCore:
         self.action = np.zeros((groups, size, features // 3), np.float32)
         self.pose = np.zeros((5, groups, size))
         self.active, self.shadowed = np.ones(groups, bool), np.zeros(groups, bool)
+        self.driven = np.tile([role in facts.driven_roles for role in range(size)], (groups, 1))
+        self._offset, self._across = facts.offset.copy(), facts.across.copy()
         self._features = groups, size, features
         self._library: Any = c.library()
         self._lists: list[tuple[str, ...]] = []
@@ -140,9 +143,9 @@ class RoundCore:
             records=facts.records_surroundings,
             merge=facts.lanes is not None,
             has_third=facts.has_third,
-            drives=self._address("drives", np.array([role in facts.driven_roles for role in range(size)]), bool),
-            offset=self._address("offset", facts.offset),
-            across=self._address("across", facts.across),
+            join=facts.others_join,
+            offset=self._offset.ctypes.data,
+            across=self._across.ctypes.data,
             width=self._address("width", facts.width),
             strips=self._address("strips", np.array([(of.begin, of.end, of.centre, of.width) for of in strips])),
             pairs=len(pairs),
@@ -155,7 +158,7 @@ class RoundCore:
         )
         self._kept["inside"] = facts.steps_inside
         fields.inside = facts.steps_inside.ctypes.data
-        for name in ("state", "commanded", "pose", "action", "active", "shadowed"):
+        for name in ("state", "commanded", "pose", "action", "active", "shadowed", "driven"):
             setattr(fields, name, getattr(self, name).ctypes.data)
         return fields
 
@@ -171,14 +174,40 @@ class RoundCore:
         ids, known_ids = "\n".join(now.ids).encode(), "\n".join(known).encode()
         self._checked(self._library.core_start(self._handle, now.time, ids, values.ctypes.data, known_ids))
 
-    def use(self, policy: FewVehicles) -> None:
-        """Let this policy decide from now on."""
+    def change_members(
+        self,
+        ids: Sequence[Sequence[str]],
+        driven: Bool[np.ndarray, "G N"],
+        offset: Float[np.ndarray, "G N"],
+        across: Float[np.ndarray, "*n"],
+        observed: Float[np.ndarray, "G N C"],
+    ) -> None:
+        """Go on with these members of the groups, "" where nobody has a role; `observed` are the last known states."""
+        self.driven[:], self._offset[:], self._across[:] = driven, offset, across
+        names, states = "\n".join(vehicle for of in ids for vehicle in of).encode(), np.ascontiguousarray(observed)
+        self._checked(self._library.core_members(self._handle, names, states.ctypes.data))
+
+    def use(self, policy: FewVehicles, in_pairs: FewVehicles | None = None) -> None:
+        """Let this policy decide from now on.
+
+        Where it follows the next vehicle ahead, too, `in_pairs` is the one for as many scenes of two as there are
+        members.
+        """
+        for which, one in enumerate((policy, in_pairs)):
+            if one is not None and one is not self._kept.get(f"policy {which}"):
+                self._use(one, which)
+
+    def _use(self, policy: FewVehicles, which: int) -> None:
         inner = policy.inner
         weights, biases = (c.Array * len(inner))(), (ctypes.c_void_p * len(inner))()
         for k, (weight, bias) in enumerate(inner):
             weights[k], biases[k] = c.Array.of(weight), bias.ctypes.data
         rows = [receivers for _, receivers in policy.turns]
-        mask = None if policy.mask is None else self._address("mask", policy.mask, np.float32)
+
+        def address(name: str, value: np.ndarray, dtype: Any = np.int64) -> int:
+            return self._address(f"{name} {which}", value, dtype)
+
+        mask = None if policy.mask is None else address("mask", policy.mask, np.float32)
         fields = c.PolicyFields(
             driven=len(policy.driven),
             pairs=len(policy.senders),
@@ -194,11 +223,11 @@ class RoundCore:
             inner_weights=weights,
             inner_biases=biases,
             mask=mask,
-            driven_rows=self._address("driven_rows", policy.driven, np.int64),
-            senders=self._address("senders", policy.senders, np.int64),
-            receivers=self._address("receivers", policy.receivers, np.int64),
-            turn_ends=self._address("turn_ends", np.array([pairs.stop for pairs, _ in policy.turns]), np.int64),
-            turn_receivers=self._address("turn_receivers", np.concatenate([*rows, np.empty(0)]), np.int64),
+            driven_rows=address("driven_rows", policy.driven),
+            senders=address("senders", policy.senders),
+            receivers=address("receivers", policy.receivers),
+            turn_ends=address("turn_ends", np.array([pairs.stop for pairs, _ in policy.turns])),
+            turn_receivers=address("turn_receivers", np.concatenate([*rows, np.empty(0)])),
         )
         for name, value in (
             ("read_bias", policy.read[1]),
@@ -206,9 +235,9 @@ class RoundCore:
             ("last_bias", policy.last[1]),
             ("unit", policy.unit),
         ):
-            setattr(fields, name, self._address(name, value, np.float32))
-        self._kept["policy"] = policy
-        self._checked(self._library.core_policy(self._handle, ctypes.byref(fields)))
+            setattr(fields, name, address(name, value, np.float32))
+        self._kept[f"policy {which}"] = policy
+        self._checked(self._library.core_policy(self._handle, ctypes.byref(fields), which))
 
     def repeat(self, vehicles: Sequence[str], steps: Sequence[Mapping[str, float]]) -> None:
         """Ask the drivers of these vehicles for the given speeds [m/s] in each step, counted from the take-over."""

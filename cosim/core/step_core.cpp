@@ -35,6 +35,9 @@ const double PI = 3.141592653589793;
 const double NOWHERE = libsumo::INVALID_DOUBLE_VALUE;
 const double SAME_LANE = 1.0, LANE_AHEAD = 80.0, REACH = 150.0, CLEARANCE = 0.5, LARGEST = 1e6;
 const double SLACK = 1e-6;  // [m] by which boxes are apart for sure
+const double FAR = 500.0;  // [m], cosim.loop.membership.FAR
+const double IN_SIGHT = 100.0;  // [m], cosim.loop.nearby_vehicles.REACH
+const float OWN_WIDTH = 1.8f, OWN_LENGTH = 5.0f, LOOK_AHEAD = 1.0f;  // gri.networks.next_ahead
 const struct { double valid, along, across, beyond; } RINGS[] = {{5.0, 150.0, 20.0, 300.0}, {1.0, 30.0, 4.0, 60.0}};
 const int FEATURES = 7;  // s, d, x, y, heading, v, a
 enum { S, D, X, Y, HEADING, V, A };
@@ -108,26 +111,27 @@ struct Core {
     double dt, settle, sx, sy, dx, dy, nx, ny, origin, arc, road_heading;
     bool euler, records, merge, has_third, planar;
     int groups, size, features, every, side;
-    std::vector<uint8_t> drives;  // by role
+    bool join;  // whether others may join a group, so that it has other members and some roles are empty
     const double *offset, *across, *member_width;
     Strip source, target;
     std::vector<double> pair_ends;
     std::vector<std::string> pair_source, pair_target;
-    Loop matmul_f, matmul_d, tanh_f, cos_d, sin_d;
-    void *matmul_f_data, *matmul_d_data, *tanh_f_data, *cos_d_data, *sin_d_data;
+    Loop matmul_f, matmul_d, tanh_f, cos_d, sin_d, sin_f;
+    void *matmul_f_data, *matmul_d_data, *tanh_f_data, *cos_d_data, *sin_d_data, *sin_f_data;
     Array matrix;  // of the dynamics, transposed
-    Policy policy;
+    Policy policy, follower;  // under the graph, and in scenes of two: behind the next vehicle ahead
     // Functions of Python, which return 0, or another number if they failed
     int (*shadow_call)(int, int);  // (group, 1 to add and 0 to remove its shadow)
     int (*step_call)();  // before every step; may be none
     // What Python and this code share: model states, commanded ones and actions of all vehicles, who is active
     double *state, *commanded, *pose;
     float* action;
-    uint8_t *active, *shadowed;
+    uint8_t *active, *shadowed, *driven;  // by group, by group, by group and role
     int64_t* inside;  // steps of vehicle 0 in the target lane, at a stretch, by group
     // The traffic
     std::unordered_map<std::string, std::unique_ptr<Car>> all;
-    Cars known, members, around, found, near;
+    Cars known, found, near;
+    Cars at_start, members;  // of the groups: at the take-over, and now (none where nobody has a role)
     std::vector<Ring> rings;
     Cars ahead, watched;
     intptr_t ahead_steps = 0;
@@ -136,7 +140,9 @@ struct Core {
     std::vector<uint8_t> valid;
     double time;
     long decisions = 0;
-    std::vector<double> joined, following, cosine, sine;
+    std::vector<double> joined, following, cosine;
+    std::vector<float> sideways;  // speeds across the road, in the model's states
+    std::vector<intptr_t> scene_of;  // whose the scenes of two are
     // What a call of `advance` recorded
     int steps = 0;
     std::vector<double> times, blocks, sizes, observations, poses, states, speeds;
@@ -355,15 +361,17 @@ struct Core {
         counts.push_back(static_cast<int32_t>(n));
         near_counts.push_back(static_cast<int32_t>(near.size()));
         times.push_back(time);
-        for (Car* one : members) one->row = -1;
+        for (Car* one : at_start) one->row = -1;
+        for (Car* one : members)
+            if (one) one->row = -1;
         for (size_t k = 0; k < near.size(); ++k) near[k]->row = static_cast<int>(k);
         const int count = groups * size;
         before = observed;  // with the last known states of absent vehicles
         observed.assign(count * FEATURES, 0.0);
         for (int k = 0; k < count; ++k) {
             const Car* one = members[k];
-            valid[k] = one->row >= 0;
-            rows.push_back(std::max(one->row, 0));
+            valid[k] = one && one->row >= 0;
+            rows.push_back(valid[k] ? one->row : 0);
             if (!valid[k]) continue;
             double* of = &observed[k * FEATURES];
             const double values[FEATURES] = {one->s, one->d, one->x, one->y, one->heading, one->v, one->a};
@@ -380,7 +388,7 @@ struct Core {
     void record_lanes() {  // of the vehicles near, after the last step
         for (const Car* one : near) lanes.push_back(Api::getLaneID(one->id));
     }
-    bool is_driven(int k) const { return active[k / size] && drives[k % size]; }
+    bool is_driven(int k) const { return active[k / size] && driven[k]; }
 
     // ---- Whether anything happened ----
 
@@ -396,7 +404,7 @@ struct Core {
             hx[k] = 0.5 * (one.length * std::fabs(c[k]) + one.width * std::fabs(s[k]));
             hy[k] = 0.5 * (one.length * std::fabs(s[k]) + one.width * std::fabs(c[k]));
         }
-        for (const Car* member : members) {
+        for (const Car* member : at_start) {
             if (member->row < 0) continue;
             const size_t i = member->row;
             for (size_t j = 0; j < n; ++j) {
@@ -424,7 +432,43 @@ struct Core {
             if (is_driven(k) && valid[k] && Api::getLaneID(members[k]->id).empty()) return false;
         return true;
     }
-    bool complete() const { return std::all_of(valid.begin(), valid.end(), [](uint8_t is) { return is; }); }
+    bool complete() const {  // whether everybody who has a role in an active group is there
+        for (int k = 0; k < groups * size; ++k)
+            if (active[k / size] && members[k] && !valid[k]) return false;
+        return true;
+    }
+    bool nobody_joins() const {  // whether cosim.loop.membership changes no role of an active group
+        for (int g = 0; g < groups; ++g)
+            if (active[g] && !(merge ? beside_as_before(&members[g * size]) : ahead_as_before(&members[g * size])))
+                return false;
+        return true;
+    }
+    bool beside_as_before(Car* const* of) const {  // lag vehicle and leader of a merge
+        const Car *own = of[0], *lag = of[1], *leader = of[2];
+        const double front = own->s, rear = own->s - own->length;
+        const auto in_lane = [&](const Car* one) { return std::fabs(one->d - target.centre) < SAME_LANE; };
+        if (leader && (!in_lane(leader) || leader->s < rear)) return false;
+        if (lag && (!in_lane(lag) || lag->s - lag->length > front)) return false;
+        for (const Car* one : near) {
+            if (one == own || one == lag || one == leader || !in_lane(one)) continue;
+            if (leader && !(one->s < leader->s)) continue;
+            if (one->s > front || !lag || one->s > lag->s) return false;
+        }
+        return true;
+    }
+    bool ahead_as_before(Car* const* of) const {  // the vehicles ahead of vehicle 0, one after the other
+        for (int role = 0; role + 1 < size && of[role]; ++role) {
+            const Car *behind = of[role], *leader = of[role + 1];
+            const double own = leader ? leader->s - behind->s : std::numeric_limits<double>::infinity();
+            if (leader && !(own > 0 && std::fabs(leader->d - behind->d) < SAME_LANE)) return false;
+            for (const Car* one : near) {
+                const double distance = one->s - behind->s;
+                if (one != leader && distance > 0 && distance <= own && std::fabs(one->d - behind->d) < SAME_LANE)
+                    return false;
+            }
+        }
+        return true;
+    }
     bool all_follow() const {  // cosim.loop.end_conditions.all_follow
         const int followers = has_third ? size - 1 : 1;
         size_t between = 0, wanted = 0;
@@ -455,6 +499,10 @@ struct Core {
         for (int g = 0; g < groups; ++g) {
             if (!active[g]) continue;
             const double* now = &observed[g * 3 * FEATURES];
+            if (join) {
+                if (ends_or_settles(g, now, now_inside[g])) return false;
+                continue;
+            }
             const double* was = &before[g * 3 * FEATURES];
             for (int role = 1; role < 3; ++role)
                 if (std::fabs(now[role * FEATURES + D] - was[role * FEATURES + D]) > SAME_LANE) return false;
@@ -464,16 +512,22 @@ struct Core {
                 if (std::fabs(one->d - target.centre) < SAME_LANE && one->s > lag->s && one->s < leader->s &&
                     one != of[0] && one != lag && one != leader)
                     return false;
-            if (now[S] + now[V] * dt >= source.end) return false;
-            if (std::fabs(now[D] - target.centre) + 0.5 * member_width[g * 3] > 0.5 * target.width) {
-                now_inside[g] = 0;
-                continue;
-            }
-            if (std::fabs(now[FEATURES + D] - target.centre) > 0.5 * target.width) return false;
-            if (++now_inside[g] * dt >= settle - 1e-6) return false;
+            if (ends_or_settles(g, now, now_inside[g])) return false;
+            if (now_inside[g] && std::fabs(now[FEATURES + D] - target.centre) > 0.5 * target.width) return false;
         }
         std::copy(now_inside.begin(), now_inside.end(), inside);
         return true;
+    }
+    bool ends_or_settles(int g, const double* now, int64_t& steps_inside) const {  // end_conditions.merging_alone
+        const double beyond = side * (now[D] - (target.centre - side * 0.5 * target.width));
+        if (now[S] + now[V] * dt >= source.end && beyond < 0) return true;
+        if (std::fabs(now[D] - target.centre) + 0.5 * member_width[g * 3] <= 0.5 * target.width)
+            return ++steps_inside * dt >= settle - 1e-6;
+        steps_inside = 0;
+        return false;
+    }
+    bool goes_on() const {  // whether the rule ends no group, apart from merges
+        return join ? nobody_joins() : merge || all_follow();
     }
 
     // ---- Deciding ----
@@ -496,17 +550,55 @@ struct Core {
     void layer(const float* x, intptr_t m, const Array& weight, const float* bias, std::vector<float>& out) {
         product(matmul_f, matmul_f_data, x, m, weight, out.data());
         const intptr_t p = weight.columns;
-        for (intptr_t row = 0; row < m; ++row)
+        for (intptr_t row = 0; bias && row < m; ++row)
             for (intptr_t k = 0; k < p; ++k) out[row * p + k] += bias[k];
     }
-    void silu_of_half(std::vector<float>& half, intptr_t n) {
-        std::vector<float>& curve = policy.curve;
+    void silu_of_half(Policy& p, std::vector<float>& half, intptr_t n) {
+        std::vector<float>& curve = p.curve;
         call(tanh_f, tanh_f_data, reinterpret_cast<char*>(half.data()), reinterpret_cast<char*>(curve.data()), n,
              sizeof(float));
         for (intptr_t k = 0; k < n; ++k) curve[k] *= half[k];
         for (intptr_t k = 0; k < n; ++k) half[k] += curve[k];
     }
-    bool act() {  // cosim.loop.policy_runner, gri.networks.fast_decoder.FewVehicles; false for unusable actions
+    // gri.networks.fast_decoder.FewVehicles for states in `relative`: so many rows, pairs and driven vehicles of it
+    void run(Policy& p, intptr_t rows, intptr_t pairs, intptr_t driven_rows) {
+        const intptr_t parts = p.read.columns, hidden = p.node.columns, width = p.edge.columns;
+        layer(p.relative.data(), rows, p.read, p.read_bias, p.parts);
+        for (intptr_t pair = 0; pair < pairs; ++pair) {
+            const float *sender = &p.parts[p.senders[pair] * parts], *receiver = &p.parts[p.receivers[pair] * parts];
+            for (intptr_t k = 0; k < p.end_sender; ++k)
+                p.sent[pair * p.end_sender + k] = sender[k] + receiver[p.end_sender + k];
+        }
+        if (pairs) {
+            silu_of_half(p, p.sent, pairs * p.end_sender);
+            if (p.mask)
+                for (intptr_t k = 0; k < pairs * p.end_sender; ++k) p.sent[k] *= p.mask[k];
+            layer(p.sent.data(), pairs, p.edge, nullptr, p.messages);
+            for (intptr_t k = 0; k < pairs * width; ++k) p.messages[k] += p.edge_bias[k];
+            silu_of_half(p, p.messages, pairs * width);
+        }
+        for (intptr_t turn = 0; turn < p.turns; ++turn)
+            for (intptr_t pair = turn ? p.turn_ends[turn - 1] : 0; pair < std::min(p.turn_ends[turn], pairs); ++pair) {
+                float* sum = &p.sums[p.turn_receivers[pair] * width];
+                const float* message = &p.messages[pair * width];
+                for (intptr_t k = 0; k < width; ++k) sum[k] = turn ? sum[k] + message[k] : message[k];
+            }
+        layer(p.sums.data(), driven_rows, p.node, nullptr, p.hidden);
+        for (intptr_t row = 0; row < driven_rows; ++row) {
+            const float* own = &p.parts[p.driven_rows[row] * parts + p.end_receiver];
+            for (intptr_t k = 0; k < hidden; ++k) p.hidden[row * hidden + k] += own[k];
+        }
+        silu_of_half(p, p.hidden, driven_rows * hidden);
+        for (size_t k = 0; k < p.inner.size(); ++k) {
+            layer(p.hidden.data(), driven_rows, p.inner[k], p.inner_bias[k], p.next);
+            silu_of_half(p, p.next, driven_rows * p.inner[k].columns);
+            p.hidden.swap(p.next);
+        }
+        layer(p.hidden.data(), driven_rows, p.last, p.last_bias, p.action);
+        for (intptr_t row = 0; row < driven_rows; ++row)
+            for (intptr_t k = 0; k < p.actions; ++k) p.action[row * p.actions + k] *= p.unit[k];
+    }
+    bool act() {  // cosim.loop.policy_runner; false for unusable actions
         Policy& p = policy;
         for (int g = 0; g < groups; ++g) {
             const double leader = state[(g * size + size - 1) * features];
@@ -516,44 +608,84 @@ struct Core {
                     p.relative[at] = static_cast<float>(f ? state[at] : state[at] - leader);
                 }
         }
-        const intptr_t rows = groups * size, parts = p.read.columns, hidden = p.node.columns, width = p.edge.columns;
-        layer(p.relative.data(), rows, p.read, p.read_bias, p.parts);
-        for (intptr_t pair = 0; pair < p.pairs; ++pair) {
-            const float *sender = &p.parts[p.senders[pair] * parts], *receiver = &p.parts[p.receivers[pair] * parts];
-            for (intptr_t k = 0; k < p.end_sender; ++k)
-                p.sent[pair * p.end_sender + k] = sender[k] + receiver[p.end_sender + k];
-        }
-        if (p.pairs) {
-            silu_of_half(p.sent, p.pairs * p.end_sender);
-            if (p.mask)
-                for (intptr_t k = 0; k < p.pairs * p.end_sender; ++k) p.sent[k] *= p.mask[k];
-            product(matmul_f, matmul_f_data, p.sent.data(), p.pairs, p.edge, p.messages.data());
-            for (intptr_t k = 0; k < p.pairs * width; ++k) p.messages[k] += p.edge_bias[k];
-            silu_of_half(p.messages, p.pairs * width);
-        }
-        for (intptr_t turn = 0; turn < p.turns; ++turn)
-            for (intptr_t pair = turn ? p.turn_ends[turn - 1] : 0; pair < p.turn_ends[turn]; ++pair) {
-                float* sum = &p.sums[p.turn_receivers[pair] * width];
-                const float* message = &p.messages[pair * width];
-                for (intptr_t k = 0; k < width; ++k) sum[k] = turn ? sum[k] + message[k] : message[k];
-            }
-        product(matmul_f, matmul_f_data, p.sums.data(), p.driven, p.node, p.hidden.data());
-        for (intptr_t row = 0; row < p.driven; ++row) {
-            const float* own = &p.parts[p.driven_rows[row] * parts + p.end_receiver];
-            for (intptr_t k = 0; k < hidden; ++k) p.hidden[row * hidden + k] += own[k];
-        }
-        silu_of_half(p.hidden, p.driven * hidden);
-        for (size_t k = 0; k < p.inner.size(); ++k) {
-            layer(p.hidden.data(), p.driven, p.inner[k], p.inner_bias[k], p.next);
-            silu_of_half(p.next, p.driven * p.inner[k].columns);
-            p.hidden.swap(p.next);
-        }
-        layer(p.hidden.data(), p.driven, p.last, p.last_bias, p.action);
-        for (intptr_t row = 0; row < p.driven; ++row)
-            for (intptr_t k = 0; k < p.actions; ++k) p.action[row * p.actions + k] *= p.unit[k];
+        run(p, groups * size, p.pairs, p.driven);
+        if (follower.given) follow_next_ahead();
         for (intptr_t k = 0; k < p.driven * p.actions; ++k)
             if (!(std::fabs(p.action[k]) <= LARGEST)) return false;
         return true;
+    }
+    void follow_next_ahead() {  // gri.networks.next_ahead.FollowsNextAhead
+        const intptr_t count = groups * size, width = features * sizeof(float);
+        const float* of = policy.relative.data();
+        if (planar) {
+            char* arguments[2] = {const_cast<char*>(reinterpret_cast<const char*>(of + 3)),
+                                  reinterpret_cast<char*>(sideways.data())};
+            const intptr_t steps[2] = {width, sizeof(float)};
+            sin_f(arguments, &count, steps, sin_f_data);
+            for (intptr_t k = 0; k < count; ++k) sideways[k] = of[k * features + 2] * sideways[k];
+        }
+        scene_of.clear();
+        for (int g = 0; g < groups; ++g) {
+            double low = std::numeric_limits<double>::infinity(), high = -low;
+            for (int role = 0; role < size; ++role) {
+                const double s = state[(g * size + role) * features] - offset[g * size + role];
+                low = std::min(low, s), high = std::max(high, s);
+            }
+            for (int role = 0; role < size; ++role) add_scene(g, role, low - IN_SIGHT, high + IN_SIGHT);
+        }
+        const intptr_t scenes = static_cast<intptr_t>(scene_of.size());
+        if (!scenes) return;
+        run(follower, 2 * scenes, follower.pairs / count * scenes, 2 * scenes);
+        for (intptr_t k = 0; k < scenes; ++k) {
+            float& own = policy.action[scene_of[k] * policy.actions];
+            const float behind = follower.action[2 * k * follower.actions];
+            if (behind < own || std::isnan(behind)) own = behind;
+        }
+    }
+    void add_scene(int g, int role, double low, double high) {  // of a vehicle and the next one ahead, if there is one
+        const intptr_t k = g * size + role;
+        const float *own = &policy.relative[k * features], *other = nullptr;
+        const float y = planar ? own[1] : 0.0f, none = std::numeric_limits<float>::infinity();
+        float gap = none;
+        for (int j = 0; j < size; ++j) {
+            const float* one = &policy.relative[(g * size + j) * features];
+            const float ahead = one[0] - own[0], across = planar ? one[1] - y : 0.0f;
+            float beside = std::fabs(across);
+            if (planar) {
+                const float sign = across > 0 ? 1.0f : across < 0 ? -1.0f : 0.0f;
+                const float closer = -sign * (sideways[g * size + j] - sideways[k]);
+                beside -= (closer > 0 ? closer : 0.0f) * LOOK_AHEAD;
+            }
+            if (beside < OWN_WIDTH && ahead > 0 && ahead - OWN_LENGTH < gap) gap = ahead - OWN_LENGTH, other = one;
+        }
+        const double s = state[k * features] - offset[k];
+        const double d = planar ? side * state[k * features + 1] + across[g] : across[k];
+        float outside = none, outside_v = 0.0f;
+        for (const Car* one : near) {
+            if (!(one->s >= low && one->s <= high) || is_member(g, one)) continue;
+            const float ahead = static_cast<float>(one->s - s), length = static_cast<float>(one->length);
+            const float beside = std::fabs(static_cast<float>(side * (one->d - d)));
+            if (beside < 0.5f * (static_cast<float>(one->width) + OWN_WIDTH) && ahead > 0 && ahead - length < outside)
+                outside = ahead - length, outside_v = static_cast<float>(one->v);
+        }
+        if (!(gap < none) && !(outside < none)) return;
+        const intptr_t to = 2 * scene_of.size() * features;
+        float *behind = &follower.relative[to], *leader = behind + features;
+        std::copy_n(own, features, behind);
+        if (outside < gap) {
+            std::fill_n(leader, features, 0.0f);
+            leader[0] = own[0] + outside + OWN_LENGTH;
+            if (planar) leader[1] = y;
+            leader[planar ? 2 : 1] = outside_v;
+        } else {
+            std::copy_n(other, features, leader);
+        }
+        behind[0] -= leader[0];
+        leader[0] -= leader[0];
+        scene_of.push_back(k);
+    }
+    bool is_member(int g, const Car* one) const {
+        return std::find(&members[g * size], &members[g * size] + size, one) != &members[g * size] + size;
     }
     bool decide() {
         if (!policy.given) return false;
@@ -597,13 +729,22 @@ struct Core {
     }
     void observe() {  // the states from which the policy decides next
         const int count = groups * size;
+        const double* latest = &observations[observations.size() - count * FEATURES];  // absent vehicles are 0
         for (int k = 0; k < count; ++k) {
             double* of = &state[k * features];
             if (is_driven(k)) {
                 std::copy_n(&commanded[k * features], features, of);
                 continue;
             }
-            const double* now = &observed[k * FEATURES];
+            const double* now = &latest[k * FEATURES];
+            double far_away[FEATURES];
+            if (!members[k]) {  // cosim.loop.membership.Membership.shown
+                const double* own = &latest[k / size * size * FEATURES];
+                far_away[S] = own[S] + (merge && k % size == 1 ? -FAR : FAR);
+                far_away[D] = merge ? target.centre : own[D];
+                far_away[HEADING] = road_heading, far_away[V] = own[V], far_away[A] = 0.0;
+                now = far_away;
+            }
             of[0] = now[S] + offset[k];
             if (planar) {
                 const double turn = wrapped(now[HEADING] - road_heading);
@@ -693,9 +834,9 @@ struct Core {
                 return false;
         std::vector<std::string> lanes_of(groups);
         bool any = false;
-        if (merge && drives[0])
+        if (merge)
             for (int g = 0; g < groups; ++g)
-                if (active[g]) any |= !(lanes_of[g] = place_shadow(g)).empty();
+                if (is_driven(g * size)) any |= !(lanes_of[g] = place_shadow(g)).empty();
         if (!any)
             for (int k = 0; k < count; ++k)
                 if (is_driven(k)) Api::setSpeed(members[k]->id, pose[3 * count + k]);
@@ -745,7 +886,7 @@ struct Core {
             for (const Car* one : watched)
                 speeds.push_back(one->present ? Api::getSpeed(one->id) : std::numeric_limits<double>::quiet_NaN());
             bool quiet = nothing_reported && apart();
-            if (judging) quiet = quiet && complete() && on_lanes() && (merge ? none_merged() : all_follow());
+            if (judging) quiet = quiet && complete() && on_lanes() && goes_on() && (!merge || none_merged());
             if (!quiet || k == most - 1) record_lanes();
             if (!quiet) return JUDGE;
             if (driving) observe();
@@ -773,16 +914,15 @@ extern "C" {
 // Everything about a round that does not change; the fields are those of `cosim.core.library.RoundFields`.
 struct RoundFields {
     double dt, settle, road[10];  // start x, y; direction x, y; normal x, y; origin; arc length; heading; 1 for Euler's update
-    int64_t groups, size, features, every, side, records, merge, has_third;
-    const uint8_t* drives;
+    int64_t groups, size, features, every, side, records, merge, has_third, join;
     const double *offset, *across, *width, *strips;  // strips: begin, end, centre, width of source and target
     int64_t pairs;
     const double* pair_ends;
-    void* loops[10];  // matmul (float), matmul (double), tanh (float), cos, sin: each with its data
+    void* loops[12];  // matmul (float), matmul (double), tanh (float), cos, sin, sin (float): each with its data
     Array matrix;
     double *state, *commanded, *pose, *before;
     float* action;
-    uint8_t *active, *shadowed;
+    uint8_t *active, *shadowed, *driven;
     int64_t* inside;
     int (*shadow_call)(int, int);
     int (*step_call)();
@@ -808,8 +948,7 @@ void* core_new(const RoundFields* of, const char* members, const char* pair_sour
         c.groups = static_cast<int>(of->groups), c.size = static_cast<int>(of->size);
         c.features = static_cast<int>(of->features), c.every = static_cast<int>(of->every);
         c.side = static_cast<int>(of->side), c.records = of->records, c.merge = of->merge, c.has_third = of->has_third;
-        c.planar = c.features == 6;
-        c.drives.assign(of->drives, of->drives + c.size);
+        c.planar = c.features == 6, c.join = of->join;
         c.offset = of->offset, c.across = of->across, c.member_width = of->width;
         if (c.merge) {
             c.source = {of->strips[0], of->strips[1], of->strips[2], of->strips[3]};
@@ -824,10 +963,11 @@ void* core_new(const RoundFields* of, const char* members, const char* pair_sour
         c.tanh_f = reinterpret_cast<Loop>(loop[4]), c.tanh_f_data = loop[5];
         c.cos_d = reinterpret_cast<Loop>(loop[6]), c.cos_d_data = loop[7];
         c.sin_d = reinterpret_cast<Loop>(loop[8]), c.sin_d_data = loop[9];
+        c.sin_f = reinterpret_cast<Loop>(loop[10]), c.sin_f_data = loop[11];
         c.matrix = of->matrix;
         c.state = of->state, c.commanded = of->commanded, c.pose = of->pose, c.action = of->action;
-        c.active = of->active, c.shadowed = of->shadowed, c.shadow_call = of->shadow_call, c.step_call = of->step_call;
-        c.members = c.cars(members);
+        c.active = of->active, c.shadowed = of->shadowed, c.driven = of->driven, c.shadow_call = of->shadow_call, c.step_call = of->step_call;
+        c.at_start = c.members = c.cars(members);
         for (Car* one : c.members) one->close = true;
         const int count = c.groups * c.size;
         c.observed.assign(of->before, of->before + count * FEATURES);
@@ -835,6 +975,7 @@ void* core_new(const RoundFields* of, const char* members, const char* pair_sour
         c.joined.resize(count * 10);
         c.following.resize(count * 6);
         c.cosine.resize(count);
+        c.sideways.resize(count);
         return 0;
     });
     return core;
@@ -863,10 +1004,23 @@ int core_start(void* handle, double time, const char* ids, const double* values,
     });
 }
 
-int core_policy(void* handle, const PolicyFields* of) {
+// The members of the groups from now on, "" where nobody has a role, and their last known states.
+int core_members(void* handle, const char* ids, const double* observed) {
     Core* core = static_cast<Core*>(handle);
     return guarded(core, [&] {
-        Policy& p = core->policy;
+        auto names = lines_of(ids);
+        names.resize(core->members.size());
+        for (size_t k = 0; k < names.size(); ++k) core->members[k] = names[k].empty() ? nullptr : core->car(names[k]);
+        core->observed.assign(observed, observed + names.size() * FEATURES);
+        return 0;
+    });
+}
+
+// The policy under the graph (0), or that in scenes of two (1), of which it has as many as there are members.
+int core_policy(void* handle, const PolicyFields* of, int in_pairs) {
+    Core* core = static_cast<Core*>(handle);
+    return guarded(core, [&] {
+        Policy& p = in_pairs ? core->follower : core->policy;
         p.driven = of->driven, p.pairs = of->pairs, p.end_sender = of->end_sender, p.end_receiver = of->end_receiver;
         p.actions = of->actions, p.turns = of->turns;
         p.read = of->read, p.edge = of->edge, p.node = of->node, p.last = of->last;
@@ -876,7 +1030,7 @@ int core_policy(void* handle, const PolicyFields* of) {
         p.unit = of->unit, p.mask = of->mask;
         p.senders = of->senders, p.receivers = of->receivers, p.driven_rows = of->driven_rows;
         p.turn_ends = of->turn_ends, p.turn_receivers = of->turn_receivers;
-        const size_t rows = core->groups * core->size;
+        const size_t rows = core->groups * core->size * (in_pairs ? 2 : 1);
         intptr_t widest = std::max(p.node.columns, p.last.columns);
         for (const Array& weight : p.inner) widest = std::max(widest, weight.columns);
         p.relative.resize(rows * core->features);

@@ -14,6 +14,7 @@ from cosim.core import RoundCore, RoundFacts, Steps
 from cosim.core.library import DECIDE, JUDGE, QUIET, REFUSED, library
 from cosim.core.numpy_loops import loops
 from cosim.loop.intervention import NoIntervention
+from cosim.loop.nearby_vehicles import Around
 from cosim.loop.observation import GroupObservation
 from cosim.loop.round_recorder import RoundRecorder
 from cosim.loop.round_start import Made, RoundStart, Seen, around_of
@@ -35,13 +36,12 @@ def load_core() -> bool:
 def compiled_steps(world: Sumo, road: RoadFrame, start: RoundStart, recorder: RoundRecorder) -> "CompiledSteps | None":
     """The compiled steps of a round, after its take-over; None where Python is to make them.
 
-    They are for straight roads without perturbations, for vehicles driven by policies in states of a matrix, in groups
-    that keep their members.
+    They are for straight roads without perturbations, for vehicles driven by policies in states of a matrix.
     """
     if not load_core():
         return None
     intervention, control, this_round = start.intervention, start.control, start.round
-    if not isinstance(intervention, NoIntervention) or not this_round.groups or start.members is not None:
+    if not isinstance(intervention, NoIntervention) or not this_round.groups:
         return None
     if road.straight_line is None or road.places is not None or this_round.default_driver != "sumo":
         return None
@@ -65,6 +65,7 @@ def compiled_steps(world: Sumo, road: RoadFrame, start: RoundStart, recorder: Ro
         before=start.observations[-1].state,
         settle=this_round.rule.settle if isinstance(this_round.rule, Merge) else 0.0,
         steps_inside=recorder.steps_inside,
+        others_join=start.members is not None,
         **_layout_facts(layout, rows.shape),
     )
 
@@ -86,9 +87,12 @@ def compiled_steps(world: Sumo, road: RoadFrame, start: RoundStart, recorder: Ro
 def _layout_facts(layout: Layout | None, shape: tuple[int, ...]) -> dict:
     if layout is None:
         return {"offset": np.zeros(shape), "across": np.zeros(shape), "side": 1}
-    if isinstance(layout, LongitudinalLayout):
-        return {"offset": layout.offset, "across": layout.lateral, "side": 1}
-    return {"offset": layout.offset, "across": layout.target, "side": layout.side}
+    side = 1 if isinstance(layout, LongitudinalLayout) else layout.side
+    return {"offset": layout.offset, "across": _across(layout), "side": side}
+
+
+def _across(layout: Layout) -> np.ndarray:
+    return layout.lateral if isinstance(layout, LongitudinalLayout) else layout.target
 
 
 @dataclass
@@ -104,15 +108,17 @@ class CompiledSteps:
     control: Control
     recorded: SpeedRecord | None
     core: RoundCore
+    _changes: int = 0
 
     def drive(self, seen: Seen, recorder: RoundRecorder, most: int) -> Made | None:
         """Make `most` steps, or fewer; the last one is returned if something may have happened in it."""
-        self._show_active(recorder)
+        self._show_groups(seen, recorder)
         status, _, steps = self.core.advance(seen.steps, 0, most, decided=False, driving=False, judging=True)
         return self._made(seen, recorder, steps, something=status != QUIET or len(steps) == most)
 
     def watch(self, seen: Seen, recorder: RoundRecorder, most: int) -> None:
         """Make `most` steps without any driven group, or fewer."""
+        self._show_groups(seen, recorder)
         status, _, steps = self.core.advance(seen.steps, 0, most, decided=False, driving=False, judging=False)
         made = self._made(seen, recorder, steps, something=status != QUIET)
         if made is not None:
@@ -120,9 +126,21 @@ class CompiledSteps:
             seen.add(now, observation, recorded)
             recorder.look_for_contacts(now)
 
-    def _show_active(self, recorder: RoundRecorder) -> None:
+    def _show_groups(self, seen: Seen, recorder: RoundRecorder) -> None:
+        """Tell the core which groups are active, and who their members are, where that has changed."""
         self.core.active[:] = False
         self.core.active[recorder.active] = True
+        members = self.start.members
+        if members is None or (changes := sum(map(len, members.changes))) == self._changes:
+            return
+        self._changes = changes
+        offset, across = self._layout()
+        self.core.change_members(members.ids, members.driven, offset, across, seen.observations[-1].state)
+
+    def _layout(self) -> tuple[np.ndarray, np.ndarray]:
+        """The offsets and places across the road of the present members, in model states; nobody asks for them here."""
+        shape = self.core.driven.shape
+        return np.zeros(shape), np.zeros(shape)
 
     def _made(self, seen: Seen, recorder: RoundRecorder, steps: Steps, *, something: bool) -> Made | None:
         """Add the steps in which nothing happened; the last one, if `something` may have happened in it."""
@@ -151,7 +169,7 @@ class CompiledDrive(CompiledSteps):
     def drive(self, seen: Seen, recorder: RoundRecorder, most: int) -> Made | None:
         """Make `most` steps with the active groups driven, or fewer."""
         control, runner, active = self.control, self.control.runner, recorder.active
-        self._show_active(recorder)
+        self._show_groups(seen, recorder)
         by_core, last = self._let_core_decide(), most
         if not by_core and not runner.has_decided(seen.now):
             runner.decide(seen.now)
@@ -161,7 +179,7 @@ class CompiledDrive(CompiledSteps):
         elif (until_graph := runner.decisions_until_graph) is not None:
             last = min(most, until_graph + decided)
         if last == 0:  # the graph is inferred again before the next decision
-            runner.decide(seen.now)
+            self._decide(seen)
             return None
         if self._guide_returning(seen):
             last = 1
@@ -177,12 +195,29 @@ class CompiledDrive(CompiledSteps):
         failed = not runner.failures.keys().isdisjoint(active)
         something = len(steps) > 0 and (status == JUDGE or len(steps) == most or failed)
         made = self._made(seen, recorder, steps, something=something)
-        if status == DECIDE:
-            runner.decide(seen.now)
         if made is None and not by_core:
-            around = around_of(self.start.intervention, seen.now) if control.sees_nearby else None
-            control.observe(seen.observations[-1], active, around)
+            members, observation = self.start.members, _observation(steps, len(steps) - 1)
+            shown = observation if members is None else members.shown(observation, self.road)
+            control.observe(shown, active, self._around(seen))
+        if status == DECIDE:
+            self._decide(seen)
         return made
+
+    def _layout(self) -> tuple[np.ndarray, np.ndarray]:
+        layout = self.control.runner.layout
+        return layout.offset, _across(layout)
+
+    def _decide(self, seen: Seen) -> None:
+        """Let Python decide where the core has made the steps before."""
+        if (around := self._around(seen)) is not None:
+            self.control.runner.look_around(around)
+        self.control.runner.decide(seen.now)
+
+    def _around(self, seen: Seen) -> Around | None:
+        if not self.control.sees_nearby:
+            return None
+        members = self.start.members
+        return around_of(self.start.intervention, seen.now, members and members.ids)
 
     def watch(self, seen: Seen, recorder: RoundRecorder, most: int) -> None:
         """Make `most` steps without any driven group, or fewer; vehicles on their way back are guided."""
@@ -193,11 +228,11 @@ class CompiledDrive(CompiledSteps):
     def _let_core_decide(self) -> bool:
         """Whether the core can decide; it is told about a graph that it does not know."""
         runner = self.control.runner
-        if runner.graph is not self._graph or runner.failures:
+        if runner.graph is not self._graph or not self._knows_policy or runner.failures:
             numbers, self._graph = runner.numbers, runner.graph
             self._knows_policy = numbers is not None
             if numbers is not None:
-                self.core.use(numbers)
+                self.core.use(*numbers)
         return self._knows_policy
 
     def _guide_returning(self, seen: Seen) -> bool:

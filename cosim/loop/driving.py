@@ -177,6 +177,8 @@ class PythonSteps:
         del most
         self.start.control.command(self.world, self.road, (), seen.now)
         now, observation, recorded = self._step(seen).observed
+        if self.start.members is not None:  # those who had the roles at the end
+            observation = self.start.members.observe(now)
         seen.add(now, observation, recorded)
         recorder.look_for_contacts(now)
 

@@ -27,6 +27,7 @@ from gri.core.policy import Policy, PolicyState
 from gri.core.trajectory import Trajectory
 from gri.networks.fast_decoder import FewVehicles
 from gri.networks.model import RelationalModel
+from gri.networks.next_ahead import FollowsNextAhead
 
 _D, _A = COLUMNS.index("d"), COLUMNS.index("a")
 LARGEST = 1e6  # of any action in SI units, far beyond what a vehicle can do
@@ -263,6 +264,10 @@ class PolicyRunner:
             return following
         return self._dynamics.stop(torch.from_numpy(self._state), torch.from_numpy(following)).numpy()
 
+    def look_around(self, around: Around) -> None:
+        """Read who is near the groups now."""
+        self._around = around
+
     def observe(self, observation: GroupObservation, active: Sequence[int], around: Around | None = None) -> None:
         """Read the vehicles' new states; driven vehicles are where the dynamics put them."""
         self._around = around
@@ -276,11 +281,17 @@ class PolicyRunner:
         return GroupObservation(observation.time, state, observation.valid, observation.rows)
 
     @property
-    def numbers(self) -> FewVehicles | None:
-        """What decides alone under the present graph, as numbers; None where anything else has a say in it."""
-        if not isinstance(self._policy, RelationalModel) or not self._perfect or self._guard or self.failures:
+    def numbers(self) -> tuple[FewVehicles, FewVehicles | None] | None:
+        """What decides alone under the present graph, as numbers; None where anything else has a say in it.
+
+        The second one follows the next vehicle ahead, in scenes of two, where the policy does.
+        """
+        if not self._perfect or self._guard or self.failures:
             return None
-        return self._policy.few_vehicles(self._memory)
+        if isinstance(self._policy, FollowsNextAhead):
+            return self._policy.few_vehicles(self._memory)
+        numbers = self._policy.few_vehicles(self._memory) if isinstance(self._policy, RelationalModel) else None
+        return None if numbers is None else (numbers, None)
 
     @property
     def graph(self) -> InteractionGraph | None:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -42,10 +43,14 @@ class Nearby:
 
         In the path are those that overlap it across the road. The gap is inf, and the speed 0, where none is.
         """
-        in_path = self.across.abs() < 0.5 * (self.width + OWN_WIDTH)[:, None]
-        in_path = in_path & (self.ahead > 0) & self.present[:, None]
-        gaps = torch.where(in_path, self.ahead - self.length[:, None], torch.inf)
-        if not gaps.shape[-1]:
-            return gaps.new_full(gaps.shape[:2], torch.inf), gaps.new_zeros(gaps.shape[:2])
-        gap, which = gaps.min(-1)
-        return gap, torch.where(gap.isfinite(), self.v.gather(1, which), torch.zeros_like(gap))
+        across, ahead, length = self.across.numpy(), self.ahead.numpy(), self.length.numpy()
+        if not ahead.shape[-1]:
+            return self.ahead.new_full(ahead.shape[:2], np.inf), self.ahead.new_zeros(ahead.shape[:2])
+        wide = np.float32(0.5) * (self.width.numpy() + np.float32(OWN_WIDTH))
+        in_path = (np.abs(across) < wide[:, None]) & (ahead > 0) & self.present.numpy()[:, None]
+        gaps = np.where(in_path, ahead - length[:, None], np.float32(np.inf))
+        which = gaps.argmin(-1)
+        batch, vehicle = np.ogrid[: len(gaps), : gaps.shape[1]]
+        gap = gaps[batch, vehicle, which]
+        v = np.where(np.isfinite(gap), self.v.numpy()[batch, which], np.float32(0))
+        return torch.from_numpy(gap), torch.from_numpy(v)

@@ -8,6 +8,7 @@ Two tests compare the values, up to rounding, in tests/gri/networks/test_fast_de
 `test_folding_changes_no_action` (folded against defined) and `test_numpy_drives_as_torch_does` (numpy against torch).
 """
 
+import copy
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -184,6 +185,7 @@ class FewVehicles:
 
     Its numbers can be read, for other code that computes the same. Each of `read`, `edge`, `last` and `inner` is a
     weight [I, O] with its bias. `senders` and `receivers` are the rows of the P pairs, in the order of `turns`.
+    `vehicles` is the number of rows.
     """
 
     def __init__(self, policy: FoldedPolicy, unit: np.ndarray) -> None:
@@ -201,6 +203,7 @@ class FewVehicles:
         self.node = policy.node_weight.T / 2
         self.inner, self.last = [(weight.T / 2, bias / 2) for weight, bias in inner], (last[0].T, last[1])
         self.shape, kind = (scenes, driven, len(last[1])), policy.weight.dtype
+        self.vehicles = scenes * vehicles
         self._parts = np.empty((scenes * vehicles, len(policy.bias)), kind)
         self._sent = np.empty((len(order), policy.ends[0]), kind)
         self._messages = np.empty((len(order), sums.second.shape[1]), kind)
@@ -208,6 +211,21 @@ class FewVehicles:
         self._layers = [
             np.empty((scenes * driven, len(of)), kind) for of in (policy.node_weight, *(b for _, b in inner))
         ]
+
+    def first(self, scenes: int) -> "FewVehicles":
+        """The same for the first scenes only, where every receiver has one sender; it writes into the same arrays."""
+        assert len(self.turns) == 1, "pairs are in the order of scenes where they are all in one turn"
+        few, (whole, *of_one) = copy.copy(self), self.shape
+        few.shape, few.vehicles = (scenes, *of_one), self.vehicles // whole * scenes
+        pairs, driven = len(self.senders) // whole * scenes, len(self.driven) // whole * scenes
+        few.senders, few.receivers = self.senders[:pairs], self.receivers[:pairs]
+        few.turns = [(slice(0, pairs), self.turns[0][1][:pairs])]
+        few.mask = None if self.mask is None else self.mask[:pairs]
+        few.edge, few.driven = (self.edge[0], self.edge[1][:pairs]), self.driven[:driven]
+        few._parts, few._sums = self._parts[: few.vehicles], self._sums[:driven]
+        few._sent, few._messages = self._sent[:pairs], self._messages[:pairs]
+        few._layers = [layer[:driven] for layer in self._layers]
+        return few
 
     def __call__(self, state: np.ndarray) -> np.ndarray:
         """Mean action [B, R, A] for states [B, N, D]."""

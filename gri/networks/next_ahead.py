@@ -6,9 +6,7 @@ what it has learned of following: it is vehicle 0 of a scene of two, whose other
 careful of both answers counts along the road; across it the graph decides alone.
 """
 
-import copy
-from dataclasses import replace
-
+import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -18,6 +16,8 @@ from gri.core.graph import EdgeType, InteractionGraph
 from gri.core.nearby import OWN_WIDTH, Nearby
 from gri.core.policy import PolicyState
 from gri.core.trajectory import Trajectory
+from gri.networks.decoder import dense
+from gri.networks.fast_decoder import FewVehicles, bind_numpy
 from gri.networks.model import RelationalModel
 from gri.networks.pair_encoder import LENGTH
 
@@ -43,8 +43,7 @@ class FollowsNextAhead:
                 "got a model with a memory, wanted a feed-forward decoder: a scene of two may end any time"
             )
         self.model = model
-        self._in_pairs = copy.copy(model)  # the same weights; each keeps what it made of its last graph
-        self._follow = InteractionGraph.of_edges({(1, 0): EdgeType.FOLLOW}, model.config.vocabulary, 2)
+        self._in_pairs: dict[int, FewVehicles] = {}  # by the number of scenes of two
 
     @property
     def dynamics(self) -> Dynamics:
@@ -71,50 +70,75 @@ class FollowsNextAhead:
     ) -> tuple[Float[Tensor, "B N A"], PolicyState]:
         """The mean action under the graph; along the road at most that behind the next vehicle ahead."""
         action, memory = self.model.act(memory, state)
-        gap, other = self.next_ahead(state, nearby)
-        there = gap.isfinite()
-        if not bool(there.any()):
-            return action, memory
-        scenes = torch.stack([state[there], other[there]], 1)
-        if len(scenes) != len(self._follow):
-            self._follow = replace(self._follow, logits=self._follow.logits[:1].expand(len(scenes), -1, -1))
-        behind, _ = self._in_pairs.act(PolicyState(self._follow, self.model.memory(scenes)), scenes)
-        careful = action.clone()
-        careful[there, 0] = torch.minimum(action[there, 0], behind[:, 0, 0])
-        return careful, memory
+        values = state.numpy()
+        in_pairs = self._in_scenes(values.shape[0] * values.shape[1])
+        gap, other = self.next_ahead(values, nearby)
+        there = np.isfinite(gap)
+        scenes = np.stack([values[there], other[there]], 1)
+        if len(scenes):
+            scenes[..., 0] -= scenes[:, 1:, 0]  # as `relative`
+            behind = (in_pairs if len(scenes) == there.size else self._in_scenes(len(scenes)))(scenes)
+            careful = action.numpy()
+            careful[there, 0] = np.minimum(careful[there, 0], behind[:, 0, 0])
+        return action, memory
+
+    def few_vehicles(self, memory: PolicyState) -> tuple[FewVehicles, FewVehicles] | None:
+        """What `act` computed last under the graph, as `RelationalModel.few_vehicles`, and behind who is next ahead.
+
+        The latter is for as many scenes of two as there are vehicles: the first ones are those with a vehicle ahead.
+        """
+        numbers = self.model.few_vehicles(memory)
+        return None if numbers is None else (numbers, self._in_scenes(numbers.vehicles))
+
+    def _in_scenes(self, count: int) -> FewVehicles:
+        """The model in so many scenes of two, in each of which vehicle 0 follows vehicle 1."""
+        if self.model.training or count not in self._in_pairs:
+            most = max(self._in_pairs, default=0)
+            if self.model.training or count > most:
+                vocabulary = self.model.config.vocabulary
+                follow = InteractionGraph.of_edges({(1, 0): EdgeType.FOLLOW}, vocabulary, 2, batch=count)
+                few = bind_numpy(self.model.decoder, dense(follow.one_hot))
+                assert isinstance(few, FewVehicles), "a feed-forward decoder drives two vehicles in numpy"
+                self._in_pairs = {count: few}
+            else:
+                self._in_pairs[count] = self._in_pairs[most].first(count)
+        return self._in_pairs[count]
 
     def next_ahead(
-        self, state: Float[Tensor, "B N D"], nearby: Nearby | None
-    ) -> tuple[Float[Tensor, "B N"], Float[Tensor, "B N D"]]:
+        self, state: Float[np.ndarray, "B N D"], nearby: Nearby | None
+    ) -> tuple[Float[np.ndarray, "B N"], Float[np.ndarray, "B N D"]]:
         """Net gap [m] from each vehicle to the next one ahead in its path, inf where there is none, and its state.
 
         A member of the group is known with its whole state, and in the path as soon as it will be within `LOOK_AHEAD`.
         Of others only place and speed are known; they count as driving straight on at a constant speed, beside nobody.
         """
         planar = "y" in self.dynamics.state
-        y = state[..., 1] if planar else torch.zeros_like(state[..., 0])
-        ahead, across = _from_each(state[..., 0]), _from_each(y)
-        beside = across.abs()
+        ahead = _from_each(state[..., 0])
+        in_path: Bool[np.ndarray, "B N N"] = ahead > 0
         if planar:
+            across = _from_each(state[..., 1])
             heading = state[..., self.dynamics.index("heading")]
-            sideways = _from_each(state[..., self.dynamics.speed] * heading.sin())
-            beside = beside - (-across.sign() * sideways).clamp_min(0.0) * LOOK_AHEAD
-        in_path: Bool[Tensor, "B N N"] = (beside < OWN_WIDTH) & (ahead > 0)
-        gaps = torch.where(in_path, ahead - LENGTH, torch.inf)
-        gap, which = gaps.min(-1)
-        other = torch.take_along_dim(state, which[..., None], 1)
+            sideways = _from_each(state[..., self.dynamics.speed] * np.sin(heading))
+            beside = np.abs(across) - np.maximum(-np.sign(across) * sideways, 0) * np.float32(LOOK_AHEAD)
+            in_path &= beside < np.float32(OWN_WIDTH)
+        gaps = np.where(in_path, ahead - np.float32(LENGTH), np.float32(np.inf))
+        which = gaps.argmin(-1)
+        batch = np.arange(len(state))[:, None]
+        gap, other = gaps[batch, np.arange(state.shape[1]), which], state[batch, which]
         if nearby is None:
             return gap, other
-        outside, v = nearby.next_ahead()
-        outsider = torch.zeros_like(other)
-        outsider[..., 0] = state[..., 0] + torch.where(outside.isfinite(), outside, 0.0) + LENGTH
-        if planar:
-            outsider[..., 1] = y
-        outsider[..., self.dynamics.speed] = v
+        outside, v = (of.numpy() for of in nearby.next_ahead())
         nearer = outside < gap
-        return torch.where(nearer, outside, gap), torch.where(nearer[..., None], outsider, other)
+        if nearer.any():
+            outsider = np.zeros((np.count_nonzero(nearer), state.shape[2]), state.dtype)
+            outsider[:, 0] = state[nearer, 0] + outside[nearer] + np.float32(LENGTH)
+            if planar:
+                outsider[:, 1] = state[nearer, 1]
+            outsider[:, self.dynamics.speed] = v[nearer]
+            gap[nearer], other[nearer] = outside[nearer], outsider
+        return gap, other
 
 
-def _from_each(values: Float[Tensor, "B N"]) -> Float[Tensor, "B N N"]:
+def _from_each(values: Float[np.ndarray, "B N"]) -> Float[np.ndarray, "B N N"]:
     """How much greater the value of the last index is than that of the one before."""
     return values[:, None] - values[..., None]

@@ -2,6 +2,7 @@
 
 import dataclasses
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -65,14 +66,27 @@ def differences(one: object, other: object, path: str = "") -> list[str]:
     return [] if one == other else [path]
 
 
-def driven(running: RunningSimulation, start: RoundStart, core: str) -> tuple[tuple[list[Episode], int, int], int]:
-    """What comes of a round with one of the cores, and how many steps compiled code made."""
-    steps, advance = 0, RoundCore.advance
+class Driven(NamedTuple):
+    """What comes of a round, how many steps compiled code made, and on how many of these it decided as well."""
+
+    result: tuple[list[Episode], int, int]
+    steps: int
+    decisions: int
+
+    @property
+    def episodes(self) -> list[Episode]:
+        return self.result[0]
+
+
+def driven(running: RunningSimulation, start: RoundStart, core: str) -> Driven:
+    """What comes of a round with one of the cores."""
+    steps, decisions, advance = 0, 0, RoundCore.advance
 
     def counted(*arguments, **options):
-        nonlocal steps
+        nonlocal steps, decisions
         made = advance(*arguments, **options)
         steps += len(made[2])
+        decisions += max(len(made[2]) - options["decided"], 0) if options["driving"] else 0
         return made
 
     with pytest.MonkeyPatch.context() as patch:
@@ -81,31 +95,31 @@ def driven(running: RunningSimulation, start: RoundStart, core: str) -> tuple[tu
         core_status.cache_clear()
         library.cache_clear()
         episodes = drive(running.world, running.frame, start)
-        return (episodes, running.world.teleports, running.world.collision_steps), steps
+        return Driven((episodes, running.world.teleports, running.world.collision_steps), steps, decisions)
 
 
 def left_to_sumo(running: RunningSimulation, history: Sequence[Snapshot], plan: NoIntervention) -> SpeedRecord:
     """The speeds ahead of a round that is left to SUMO, for which both cores see the same."""
     vehicles = vehicles_ahead(plan.round.groups, history[-1])
 
-    def record(core: str) -> tuple[object, int, SpeedRecord]:
+    def record(core: str) -> tuple[Driven, SpeedRecord]:
         speeds = SpeedRecord(vehicles)
         start = start_round(running.frame, history, dataclasses.replace(plan, recorded=speeds), None)
-        return *driven(running, start, core), speeds
+        return driven(running, start, core), speeds
 
-    (by_python, none, speeds), (compiled, steps, other) = (
+    (by_python, speeds), (compiled, other) = (
         fork(lambda core=core: record(core)).result() for core in ("python", "compiled")
     )
-    assert none == 0 < steps == len(speeds.steps)
-    assert differences(by_python, compiled) == []
+    assert by_python.steps == 0 < compiled.steps == len(speeds.steps)
+    assert differences(by_python.result, compiled.result) == []
     assert speeds == other
     return speeds
 
 
 def compare(name: str, tmp_path, *, groups: int = 4, warm_up: float = 120.0, rounds: int = 1, repeat: bool = False,
-            **changes) -> list[tuple[list, int]]:  # fmt: skip
-    """Drive the same rounds with both cores; the episodes, and the steps that compiled code made."""
-    scenario = load_scenario(name)
+            settings: Sequence[str] = (), **changes) -> list[Driven]:  # fmt: skip
+    """Drive the same rounds with both cores; what the compiled one gave."""
+    scenario = load_scenario(name, settings=settings)
     traffic = replace(scenario.traffic, warm_up=warm_up)
     scenario = replace(scenario, traffic=traffic, groups_at_once=groups, watch=6.0, time_limit=600.0)
     driver = driver_of(scenario)
@@ -126,33 +140,80 @@ def compare(name: str, tmp_path, *, groups: int = 4, warm_up: float = 120.0, rou
             if repeat:
                 plan = plan.repeating(left_to_sumo(running, history, plan), history[-1])
             start = start_round(running.frame, history, plan, driver)
-            (by_python, none), (compiled, steps) = (
+            by_python, compiled = (
                 fork(lambda core=core, start=start: driven(running, start, core)).result()
                 for core in ("python", "compiled")
             )
-            assert none == 0
-            assert differences(by_python, compiled) == []
-            found.append((by_python[0], steps))
+            assert by_python.steps == 0
+            assert differences(by_python.result, compiled.result) == []
+            found.append(compiled)
     return found
 
 
 @pytest.mark.parametrize("name", [CAR_FOLLOWING, MERGE, "i80_car_following", "i80_merge", "us101_lively", "i80_lively"])
 @pytest.mark.slow
 def test_every_scenario_is_driven_with_the_same_bits(name, tmp_path):
-    for episodes, steps in compare(name, tmp_path, rounds=2, repeat=True):
-        assert steps >= len(episodes[0].time) - 26
+    for round_ in compare(name, tmp_path, rounds=2, repeat=True):
+        assert round_.steps >= len(round_.episodes[0].time) - 26
 
 
 def test_groups_are_driven_with_the_same_bits(tmp_path):
-    ((episodes, steps),) = compare(CAR_FOLLOWING, tmp_path, repeat=True)
-    assert len(episodes) > 1
-    assert steps == len(episodes[0].time) - 25
+    (only,) = compare(CAR_FOLLOWING, tmp_path, repeat=True)
+    assert len(only.episodes) > 1
+    assert only.steps == len(only.episodes[0].time) - 25
 
 
 @pytest.mark.slow
 def test_merges_are_driven_with_the_same_bits(tmp_path):
-    endings = [episodes[0].ending.value for episodes, _ in compare(MERGE, tmp_path, groups=1, rounds=3)]
+    endings = [of.episodes[0].ending.value for of in compare(MERGE, tmp_path, groups=1, rounds=3)]
     assert "merged" in endings
+
+
+@pytest.mark.parametrize(
+    ("name", "rounds", "more", "roles"),
+    [
+        # vehicle 1, which is driven, loses its role; then nobody is behind for a while
+        ("highway_merge", 2, ["seed=4", "group.max_gap=60"], {1, 2}),
+        pytest.param("highway_merge", 2, ["seed=6", "group.max_gap=60"], {1}, marks=pytest.mark.slow),
+        pytest.param("i80_lively", 2, ["seed=6", "horizon=20", "reinfer_s=2"], {2}, marks=pytest.mark.slow),
+    ],
+)
+def test_groups_that_others_join_are_driven_with_the_same_bits(name, rounds, more, roles, tmp_path):
+    settings = ["group.newcomers=join", "policy.sees=everybody", *more]
+    found = compare(name, tmp_path, groups=2, warm_up=150.0, rounds=rounds, repeat=True, settings=settings)
+    changes = [change for of in found for episode in of.episodes for change in episode.role_changes]
+    assert {change.role for change in changes} == roles
+    assert all(of.decisions > 5 for of in found), "the core decides, too, unless vehicles are handed back"
+    for episode in [episode for of in found for episode in of.episodes]:
+        around = episode.surroundings
+        assert around is not None
+        names = [around.ids[k] for k in around.vehicle]
+        place = dict(zip(zip(around.time.round(3), names, strict=True), around.feature("s"), strict=True))
+        for time, members, s, valid in zip(
+            episode.time.round(3), episode.members, episode.feature("s"), episode.valid, strict=True
+        ):
+            for vehicle, at, there in zip(members, s, valid, strict=True):
+                assert not there or place.get((time, vehicle), at) == at, "of whoever has the role, to the last instant"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [
+        (MERGE, ["group.newcomers=join", "policy.sees=everybody"]),
+        (MERGE, ["group.newcomers=end", "policy.sees=everybody"]),
+        ("i80_merge", ["group.newcomers=join", "policy.sees=everybody"]),
+        (CAR_FOLLOWING, ["group.newcomers=end", "policy.sees=everybody"]),
+        (CAR_FOLLOWING, ["group.newcomers=join", "policy={kind: idm}"]),
+        (MERGE, ["group.newcomers=join", "policy.sees=everybody", "safety={kind: rss}"]),
+    ],
+    ids=lambda value: value if isinstance(value, str) else " ".join(value),
+)
+def test_both_options_are_driven_with_the_same_bits(name, settings, tmp_path):
+    for of in compare(name, tmp_path, groups=2, rounds=2, repeat=True, settings=settings):
+        assert of.steps == len(of.episodes[0].time) - 25
+        by_python = "idm" in settings[-1] or "rss" in settings[-1]
+        assert (of.decisions == 0) == by_python
 
 
 @pytest.mark.slow
@@ -167,11 +228,11 @@ def test_merges_are_driven_with_the_same_bits(tmp_path):
     ids=["inferred again", "idm", "idm that sees others", "safety filter"],
 )
 def test_what_python_decides_is_driven_with_the_same_bits(changes, tmp_path):
-    ((episodes, steps),) = compare(CAR_FOLLOWING, tmp_path, **changes)
-    assert steps == len(episodes[0].time) - 25
+    (only,) = compare(CAR_FOLLOWING, tmp_path, **changes)
+    assert only.steps == len(only.episodes[0].time) - 25
 
 
 @pytest.mark.slow
 def test_a_curved_road_is_left_to_python(tmp_path):
-    ((_, steps),) = compare("curved_merge", tmp_path, groups=1)
-    assert steps == 0
+    (only,) = compare("curved_merge", tmp_path, groups=1)
+    assert only.steps == 0

@@ -65,6 +65,22 @@ def test_few_calls_of_numpy_give_the_same_bits(silent: bool, types: int, driven:
     assert not np.array_equal(actions[0][0], actions[1][0])
 
 
+@pytest.mark.parametrize("silent", [True, False])
+def test_the_first_scenes_of_two_are_driven_as_alone(silent: bool, generator: torch.Generator):
+    """In any order, although all write into the same arrays."""
+    policy = decoder("feed_forward", silent, 2)
+    follow = InteractionGraph.of_edges({(1, 0): EdgeType.FOLLOW}, FOLLOWING, 2, batch=5)
+    whole = fast_decoder.bind_numpy(policy, dense(follow.one_hot))
+    assert isinstance(whole, fast_decoder.FewVehicles)
+    firsts = {count: whole.first(count) for count in (1, 3)}
+    assert [few.vehicles for few in firsts.values()] == [2, 6]
+    for count in (3, 1, 5, 3):
+        state = random_state(generator).numpy()[:count, :2] / 10
+        alone = fast_decoder.bind_numpy(policy, dense(follow[:count].one_hot))
+        assert alone is not None
+        assert np.array_equal(firsts.get(count, whole)(state), alone(state))
+
+
 def test_detached_senders_get_no_gradient(generator: torch.Generator):
     policy, state = decoder(), random_state(generator).requires_grad_()
     graph = InteractionGraph.of_edges({(1, 0): EdgeType.FOLLOW}, FOLLOWING, batch=5).one_hot
