@@ -7,6 +7,7 @@ for bit (tests/cosim/core/test_compiled_steps.py).
 """
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -109,6 +110,7 @@ class CompiledSteps:
     recorded: SpeedRecord | None
     core: RoundCore
     _changes: int = 0
+    observes_members: ClassVar[bool] = True
 
     def drive(self, seen: Seen, recorder: RoundRecorder, most: int) -> Made | None:
         """Make `most` steps, or fewer; the last one is returned if something may have happened in it."""

@@ -162,6 +162,11 @@ class PythonSteps:
     road: RoadFrame
     start: RoundStart
 
+    @property
+    def observes_members(self) -> bool:
+        """Whether a step is observed with those who had the roles before it, rather than with the planned ones."""
+        return isinstance(self.start.intervention, NoIntervention)
+
     def drive(self, seen: Seen, recorder: RoundRecorder, most: int) -> Made:
         """Make a step with the active groups driven."""
         del most
@@ -183,10 +188,11 @@ class PythonSteps:
         recorder.look_for_contacts(now)
 
     def _step(self, seen: Seen) -> Made:
-        intervention = self.start.intervention
+        intervention, members = self.start.intervention, self.start.members
         intervention.command(self.world, self.road, seen.steps, self.start.control.roles, seen.now)
         report = self.world.step()
-        return Made(intervention.observe(self.world, self.road, seen.observations[-1], seen.now), report)
+        ids = members.vehicles if members is not None and self.observes_members else None
+        return Made(intervention.observe(self.world, self.road, seen.observations[-1], seen.now, ids), report)
 
 
 @torch.inference_mode()
@@ -209,7 +215,8 @@ def drive(world: Sumo, road: RoadFrame, start: RoundStart) -> list[Episode]:
         shown, changed = None, {}
         if members is not None:
             changed = members.update(now, active)
-            observation = control.with_commanded_acceleration(members.observe(now), active)
+            if changed or not steps.observes_members:
+                observation = control.with_commanded_acceleration(members.observe(now), active)
             shown = members.shown(observation, road)
         recorder.judge(observation, before, now, report, last=seen.steps + 1 == this_round.driven_steps)
         recorder.end_failed(control.failures, before.time, now.time)

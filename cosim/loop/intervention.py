@@ -168,12 +168,20 @@ class Intervention:
         """Displaced vehicles that no policy drives, with their roles."""
         return {group.ids[r]: r for r in range(len(group.ids)) if change.moved[r] and r not in driven_roles}
 
-    def observe(self, world: Sumo, road: RoadFrame, before: GroupObservation, snapshot: Snapshot) -> Observed:
+    def observe(
+        self,
+        world: Sumo,
+        road: RoadFrame,
+        before: GroupObservation,
+        snapshot: Snapshot,
+        members: Sequence[str] | None = None,
+    ) -> Observed:
         """The vehicles near the round after a step, its groups, and the vehicles to record.
 
         `before` and `snapshot` are from one step earlier. A vehicle that has cut in is the leader of its group. A
         removed vehicle 2 is a phantom.
         """
+        del members
         now, recorded = _read(world, road, self.round, self.vehicles, lambda: self._places(before, snapshot))
         self.snapshots.append(now.only(is_near(now.s, now.d, rows_of(now.ids, self.vehicles))))
         arrived = [change.has_arrived(now) for change in self.changes]
@@ -265,16 +273,24 @@ class NoIntervention:
         if self.ahead is not None:
             self.ahead.repeat(world, step)
 
-    def observe(self, world: Sumo, road: RoadFrame, before: GroupObservation, snapshot: Snapshot) -> Observed:
+    def observe(
+        self,
+        world: Sumo,
+        road: RoadFrame,
+        before: GroupObservation,
+        snapshot: Snapshot,
+        members: Sequence[str] | None = None,
+    ) -> Observed:
         """The vehicles near the round after a step, its groups, and the vehicles to record.
 
-        `before` and `snapshot` are from one step earlier.
+        `before` and `snapshot` are from one step earlier, `members` are those of groups that others may join.
         """
         del snapshot
         if self.recorded is not None:
             self.recorded.record(world)
         now, recorded = _read(world, road, self.round, self.round.vehicles, lambda: before.state[..., _S])
-        return now, GroupObservation.of_vehicles(now, self.round.vehicles, len(self.round.groups)), recorded
+        of = self.round.vehicles if members is None else members
+        return now, GroupObservation.of_vehicles(now, of, len(self.round.groups)), recorded
 
     def shown_to_policy(self, observation: GroupObservation, now: Snapshot) -> GroupObservation:
         """The observation as it is."""
@@ -292,9 +308,12 @@ def _read(
     """The vehicles near to the given ones, and those to record: if the round records its surroundings, all within REACH
     of the `places` [m] of each group, and some more.
     """
-    if this_round.records_surroundings:
+
+    def spans() -> Float[np.ndarray, "G 2"]:
         s = places()
-        spans = np.stack([s.min(axis=1) - REACH, s.max(axis=1) + REACH], axis=1)
+        return np.stack([s.min(axis=1) - REACH, s.max(axis=1) + REACH], axis=1)
+
+    if this_round.records_surroundings:
         return world.near_and_recorded(road, vehicles, spans)
     now = world.snapshot(road, vehicles)
     return now, now

@@ -76,9 +76,14 @@ class Membership:
         """When [s] the vehicle that had a role at the take-over lost it, if it was driven; +inf while it has it."""
         return self.left[g].get(self._round.groups[g].ids[role], np.inf)
 
+    @property
+    def vehicles(self) -> list[str]:
+        """The present members, group by group."""
+        return [vehicle for of in self.ids for vehicle in of]
+
     def observe(self, now: Snapshot) -> GroupObservation:
         """The groups at this instant, with the present members."""
-        return GroupObservation.of_vehicles(now, [vehicle for of in self.ids for vehicle in of], len(self.ids))
+        return GroupObservation.of_vehicles(now, self.vehicles, len(self.ids))
 
     def lengths(self, now: Snapshot, g: int) -> Float[np.ndarray, " N"]:
         """The lengths [m] of the members of a group; where nobody has a role, that of any vehicle in model states."""
@@ -107,8 +112,14 @@ def _beside(now: Snapshot, lanes: MergeLanes, merging: str, lag: str, leader: st
     row = now.row_of[merging]
     s, front, rear = now.s, float(now.s[row]), float(now.s[row] - now.length[row])
     in_lane = np.abs(now.d - lanes.target.centre) < SAME_LANE
-    in_lane[row] = False
     lag_row, leader_row = now.row_of.get(lag), now.row_of.get(leader)
+    if lag_row is not None and leader_row is not None and in_lane[lag_row] and in_lane[leader_row]:
+        lag_s, leader_s = float(s[lag_row]), float(s[leader_row])
+        between = in_lane & (s > min(lag_s, front)) & (s < leader_s)
+        between[[row, lag_row]] = False
+        if leader_s >= rear and lag_s - now.length[lag_row] <= front and not between.any():
+            return lag, leader  # as almost always: nobody else is between them
+    in_lane[row] = False
     if leader_row is not None and (not in_lane[leader_row] or s[leader_row] < rear):
         leader_row = None  # it left the lane, or vehicle 0 has passed it
     if lag_row is not None and (not in_lane[lag_row] or s[lag_row] - now.length[lag_row] > front):

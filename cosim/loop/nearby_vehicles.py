@@ -8,9 +8,10 @@ import torch
 
 from cosim.loop.state_layouts import Pose
 from cosim.world.snapshot import Snapshot
-from gri.core.nearby import Nearby
+from gri.core.nearby import OWN_WIDTH, Nearby, NextAhead
 
 REACH = 100.0  # [m] along the road, from any vehicle of a group
+_OWN_WIDTH, _HALF, _NONE, _NOTHING = (np.float32(value) for value in (OWN_WIDTH, 0.5, np.inf, 0.0))
 
 
 @dataclass(frozen=True)
@@ -52,6 +53,27 @@ def nearby_vehicles(around: Around, pose: Pose) -> Nearby:
         present=torch.from_numpy(present),
         lane_left=None if around.lane_end is None else tensor(around.lane_end - pose.s),
     )
+
+
+def next_ahead(around: Around, pose: Pose) -> NextAhead:
+    """What `nearby_vehicles` says of the next vehicle ahead in the path of each vehicle, in fewer calls."""
+    now, (groups, size) = around.now, pose.s.shape
+    if not now.ids:
+        return NextAhead(np.full((groups, size), np.inf, np.float32), np.zeros((groups, size), np.float32))
+    ahead = (now.s - pose.s[..., None]).astype(np.float32)
+    across = (now.d - pose.d[..., None]).astype(np.float32)  # on which side does not matter
+    length, width = now.length.astype(np.float32), now.width.astype(np.float32)
+    in_path = np.abs(across) < _HALF * (width + _OWN_WIDTH)
+    in_path &= ahead > 0
+    for g, (members, s) in enumerate(zip(around.members, pose.s.tolist(), strict=True)):
+        in_path[g] &= (now.s >= min(s) - REACH) & (now.s <= max(s) + REACH)
+        in_path[g][:, [now.row_of[vehicle] for vehicle in members if vehicle in now.row_of]] = False
+    ahead -= length
+    gaps = np.where(in_path, ahead, _NONE).reshape(groups * size, -1)
+    which = gaps.argmin(-1)
+    gap = gaps[np.arange(len(gaps)), which].reshape(groups, size)
+    v = np.where(gap < _NONE, now.v[which].astype(np.float32).reshape(groups, size), _NOTHING)
+    return NextAhead(gap, v)
 
 
 def _rows(now: Snapshot, members: Collection[str], s: np.ndarray) -> list[int]:

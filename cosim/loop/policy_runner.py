@@ -12,7 +12,7 @@ from torch import Tensor
 from cosim.core import RoundCore
 from cosim.loop.graph_source import on_same_pairs
 from cosim.loop.guard import Guard
-from cosim.loop.nearby_vehicles import Around, nearby_vehicles
+from cosim.loop.nearby_vehicles import Around, nearby_vehicles, next_ahead
 from cosim.loop.observation import GroupObservation
 from cosim.loop.own_policy import PolicyFailure
 from cosim.loop.state_layouts import Layout, Pose
@@ -22,7 +22,7 @@ from cosim.world.episode import COLUMNS, FilterUse
 from cosim.world.road_frame import model_offsets
 from cosim.world.snapshot import Snapshot
 from gri.core.graph import InteractionGraph
-from gri.core.nearby import Nearby
+from gri.core.nearby import Nearby, NextAhead
 from gri.core.policy import Policy, PolicyState
 from gri.core.trajectory import Trajectory
 from gri.networks.fast_decoder import FewVehicles
@@ -72,10 +72,14 @@ class PolicyRunner:
         self._driven_roles, self._override_graph = list(driven_roles), override_graph
         self._reinfer_steps, self._channels, self._perfect = reinfer_steps, channels, channels.changes_nothing
         self._mask: tuple[list[int], np.ndarray] | None = None  # active groups, and the vehicles driven in them
-        *past, latest = (torch.from_numpy(layout.states(observation.state)) for observation in history)
-        observed = [channels.observed(state) for state in past] + [channels.observed(latest, final=False)]
-        sampled = observed[:: -self._every][::-1]
-        self._window = deque((views.flatten(0, 1).numpy() for views in sampled), policy.history_steps)
+        if self._perfect and layout.is_pointwise:  # all of it at once
+            sampled = layout.states(np.stack([observation.state for observation in history[:: -self._every][::-1]]))
+            self._window = deque(sampled, policy.history_steps)
+        else:
+            *past, latest = (torch.from_numpy(layout.states(observation.state)) for observation in history)
+            observed = [channels.observed(state) for state in past] + [channels.observed(latest, final=False)]
+            views = (of.flatten(0, 1).numpy() for of in observed[:: -self._every][::-1])
+            self._window = deque(views, policy.history_steps)
         self._state = self._commanded = layout.states(start.state)
         self.pose = layout.pose(self._commanded)
         self._decided_at: float | None = None
@@ -214,11 +218,20 @@ class PolicyRunner:
 
     def _act(self, state: Float[Tensor, "V N D"]) -> tuple[Float[Tensor, "V N A"], PolicyState]:
         """The policy's answer; one that looks at more than its groups is told who is near."""
+        if isinstance(self._policy, FollowsNextAhead):
+            return self._policy.act(self._memory, state, self._next_ahead())
         nearby = self.nearby_for_policy()
         if nearby is None:
             return self._policy.act(self._memory, state)
         act: Callable[..., tuple[Tensor, PolicyState]] = self._policy.act
         return act(self._memory, state, nearby)
+
+    def _next_ahead(self) -> NextAhead | None:
+        """Who is next ahead of each vehicle now, of those in no group, in each view."""
+        if self._around is None:
+            return None
+        found, views = next_ahead(self._around, self.layout.pose(self._state)), self._channels.views
+        return found if views == 1 else NextAhead(np.tile(found.gap, (views, 1)), np.tile(found.v, (views, 1)))
 
     def nearby_for_policy(self) -> Nearby | None:
         """Who is around the groups now, in each view; None for a policy that does not look at them."""

@@ -10,7 +10,6 @@ vehicles drive into merging ones (docs/coupling.md has the measurement).
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool
 
 from cosim.sumo import Sumo
 from cosim.world.groups import MergeLanes
@@ -47,14 +46,17 @@ def shadow_placement(s: float, d: float, width: float, lanes: MergeLanes) -> Sha
     return ShadowPlacement("", pair.target, lanes.target.centre)
 
 
-def is_free(
-    s: float, length: float, lanes: MergeLanes, now: Snapshot, others: Bool[np.ndarray, " V"], dt: float
-) -> bool:
-    """Whether a vehicle of that length fits into the target lane with its front at `s` [m], `dt` [s] after `now`."""
-    in_lane = others & (np.abs(now.d - lanes.target.centre) < 0.5 * lanes.target.width)
-    front = now.s[in_lane] + now.v[in_lane] * dt
-    apart = (front < s - length - CLEARANCE) | (front - now.length[in_lane] > s + CLEARANCE)
-    return bool(apart.all())
+def is_free(s: float, length: float, lanes: MergeLanes, now: Snapshot, own: int, dt: float) -> bool:
+    """Whether a vehicle of that length fits into the target lane with its front at `s` [m], `dt` [s] after `now`.
+
+    `own` is its row in the snapshot.
+    """
+    front = now.s + now.v * dt
+    near = np.abs(now.d - lanes.target.centre) < 0.5 * lanes.target.width
+    near &= front >= s - length - CLEARANCE
+    near &= front - now.length <= s + CLEARANCE
+    near[own] = False
+    return not near.any()
 
 
 def place(
@@ -78,14 +80,12 @@ def place(
     if row is None:  # the vehicle is gone
         world.remove_shadow(vehicle)
         return ""
-    others = np.ones(len(now.ids), dtype=bool)
-    others[row] = False
     wanted = shadow_placement(s, d, float(now.width[row]), lanes)
     announces = wanted.shadow_lane is not None and not wanted.own_lane
     if wanted.shadow_lane is None or (announces and not announcing):
         world.remove_shadow(vehicle)
         return wanted.own_lane
-    if announces and not is_free(s, float(now.length[row]), lanes, now, others, dt):
+    if announces and not is_free(s, float(now.length[row]), lanes, now, row, dt):
         world.remove_shadow(vehicle)
         return wanted.own_lane
     xy, along = road.to_world(np.array([s]), np.array([wanted.shadow_d]))

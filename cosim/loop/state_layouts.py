@@ -53,7 +53,12 @@ class LongitudinalLayout:
         """The layout of groups with other members, which have these offsets and lateral positions [m]."""
         return replace(self, offset=offset, lateral=lateral)
 
-    def states(self, observed: Float[np.ndarray, "G N C"]) -> Float[np.ndarray, "G N 3"]:
+    @property
+    def is_pointwise(self) -> bool:
+        """Whether `states` takes several instants at once: on straight roads."""
+        return self.lines is None
+
+    def states(self, observed: Float[np.ndarray, "*T G N C"]) -> Float[np.ndarray, "*T G N 3"]:
         """Model states (float64) of vehicles with the features of COLUMNS."""
         states = observed[..., [_S, _V, _A]]
         states[..., 0] = _driven(self.lines, states[..., 0]) + self.offset
@@ -120,13 +125,20 @@ class PlanarLayout:
         del lateral
         return replace(self, offset=offset)
 
-    def states(self, observed: Float[np.ndarray, "G N C"]) -> Float[np.ndarray, "G N 6"]:
+    @property
+    def is_pointwise(self) -> bool:
+        """Whether `states` takes several instants at once: on straight roads without a ramp."""
+        return self.lines is None and self.ramp is None
+
+    def states(self, observed: Float[np.ndarray, "*T G N C"]) -> Float[np.ndarray, "*T G N 6"]:
         """Model states (float64) of vehicles with the features of COLUMNS."""
         s = observed[..., _S]
         turn = self.road.side * (observed[..., _HEADING] - self.road.heading_at(s.ravel()).reshape(s.shape))
-        x, y, heading = _driven(self.lines, s) + self.offset, observed[..., _D] - self.target, _wrapped(turn)
-        features = [x, self.side * y, observed[..., _V], self.side * heading, observed[..., _A]]
-        states = np.stack([*features, np.zeros_like(s)], -1)
+        states = np.empty((*s.shape, 6))
+        states[..., 0] = _driven(self.lines, s) + self.offset
+        states[..., 1] = self.side * (observed[..., _D] - self.target)
+        states[..., 2], states[..., 3] = observed[..., _V], self.side * _wrapped(turn)
+        states[..., 4], states[..., 5] = observed[..., _A], 0.0
         if self.ramp is not None:
             along = self.ramp.along(observed[:, 0, [_X, _Y]])
             on_ramp = along < self.ramp.end
@@ -195,7 +207,7 @@ def layout_of(
     return PlanarLayout(offsets, target, road, side, lines, ramp)
 
 
-def _driven(lines: tuple[LaneLine, ...] | None, s: Float[np.ndarray, "G N"]) -> Float[np.ndarray, "G N"]:
+def _driven(lines: tuple[LaneLine, ...] | None, s: Float[np.ndarray, "*T G N"]) -> Float[np.ndarray, "*T G N"]:
     """The distance along the line of each group."""
     return s if lines is None else np.stack([line.driven(of) for line, of in zip(lines, s, strict=True)])
 
@@ -205,6 +217,6 @@ def _s_at(lines: tuple[LaneLine, ...] | None, distance: Float[np.ndarray, "G N"]
     return distance if lines is None else np.stack([line.s_at(of) for line, of in zip(lines, distance, strict=True)])
 
 
-def _wrapped(angle: Float[np.ndarray, "G N"]) -> Float[np.ndarray, "G N"]:
+def _wrapped(angle: Float[np.ndarray, "*T G N"]) -> Float[np.ndarray, "*T G N"]:
     """The same angle in [−π, π)."""
     return (angle + np.pi) % (2 * np.pi) - np.pi

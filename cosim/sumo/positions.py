@@ -139,7 +139,7 @@ class PositionReader:
         return found
 
     def in_spans(
-        self, road: RoadFrame, around: tuple[str, ...], lane_ahead: float, spans: Float[np.ndarray, "G 2"]
+        self, road: RoadFrame, around: tuple[str, ...], lane_ahead: float, spans: Callable[[], Float[np.ndarray, "G 2"]]
     ) -> tuple[Positions, NearRows]:
         """The positions of the vehicles in some spans of s [m], each from its first to its second value, and some more.
 
@@ -160,7 +160,7 @@ class PositionReader:
             is_inside = is_near(near[2], near[3], rows_of(near[0], around), along, across, lane_ahead)
             near = only(near, np.flatnonzero(is_inside))
             if all_are_listed:
-                low, high = (spans + np.array([-beyond, beyond])).T[:, :, None]
+                low, high = (spans() + np.array([-beyond, beyond])).T[:, :, None]
                 found = only(found, np.flatnonzero(((found[2] >= low) & (found[2] <= high)).any(axis=0)))
             rings.append(_Ring(NearbyFilter(around, lane_ahead, near[0], _time()), found[0]))
         return found, self._near_rows(found[0], rings[-1].near.ids)

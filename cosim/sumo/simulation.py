@@ -112,12 +112,13 @@ class Sumo:
         return self._states.snapshot(road, around, lane_ahead, span)
 
     def near_and_recorded(
-        self, road: RoadFrame, around: Sequence[str], spans: Float[np.ndarray, "G 2"]
+        self, road: RoadFrame, around: Sequence[str], spans: Callable[[], Float[np.ndarray, "G 2"]]
     ) -> tuple[Snapshot, Instant]:
         """The snapshot of the vehicles near to those `around` and some more, and those to record, read once.
 
         The latter are all vehicles in some spans of s [m] and some more; every span begins at its first value, ends at
-        its second one, and moves slower than 10 m per step. All vehicles `around` are to be in a span.
+        its second one, and moves slower than 10 m per step. All vehicles `around` are to be in a span. The spans are
+        asked for where they are needed, which is once in a second.
         """
         return self._states.near_and_recorded(road, around, spans)
 

@@ -55,7 +55,7 @@ class StateReader:
         return Snapshot.of_block(time, ids, self._block(positions, time), self._sizes_of(ids), tuple(map(_lane, ids)))
 
     def near_and_recorded(
-        self, road: RoadFrame, around: Sequence[str], spans: Float[np.ndarray, "G 2"]
+        self, road: RoadFrame, around: Sequence[str], spans: Callable[[], Float[np.ndarray, "G 2"]]
     ) -> tuple[Snapshot, Instant]:
         """See `cosim.sumo.simulation.Sumo.near_and_recorded`."""
         time = _time()

@@ -54,3 +54,19 @@ class Nearby:
         gap = gaps[batch, vehicle, which]
         v = np.where(np.isfinite(gap), self.v.numpy()[batch, which], np.float32(0))
         return torch.from_numpy(gap), torch.from_numpy(v)
+
+
+@dataclass(frozen=True)
+class NextAhead:
+    """The next vehicle ahead of each of B groups of N vehicles, of those in its path that belong to no group."""
+
+    gap: Float[np.ndarray, "B N"]
+    """Net gap [m] to it; inf where there is none."""
+    v: Float[np.ndarray, "B N"]
+    """Its speed [m/s]."""
+
+    @classmethod
+    def of(cls, nearby: Nearby) -> "NextAhead":
+        """The next of these vehicles."""
+        gap, v = nearby.next_ahead()
+        return cls(gap.numpy(), v.numpy())

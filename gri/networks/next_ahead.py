@@ -8,12 +8,12 @@ careful of both answers counts along the road; across it the graph decides alone
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from gri.core.dynamics import Dynamics
 from gri.core.graph import EdgeType, InteractionGraph
-from gri.core.nearby import OWN_WIDTH, Nearby
+from gri.core.nearby import OWN_WIDTH, Nearby, NextAhead
 from gri.core.policy import PolicyState
 from gri.core.trajectory import Trajectory
 from gri.networks.decoder import dense
@@ -22,6 +22,7 @@ from gri.networks.model import RelationalModel
 from gri.networks.pair_encoder import LENGTH
 
 LOOK_AHEAD = 1.0  # [s] in which a vehicle that moves over counts as in the path, as in the safety filter
+_LOOK_AHEAD, _OWN_WIDTH, _LENGTH, _NONE = (np.float32(value) for value in (LOOK_AHEAD, OWN_WIDTH, LENGTH, np.inf))
 
 
 class FollowsNextAhead:
@@ -43,6 +44,9 @@ class FollowsNextAhead:
                 "got a model with a memory, wanted a feed-forward decoder: a scene of two may end any time"
             )
         self.model = model
+        dynamics = model.dynamics
+        self._planar, self._speed = "y" in dynamics.state, dynamics.speed
+        self._heading = dynamics.index("heading") if self._planar else 0
         self._in_pairs: dict[int, FewVehicles] = {}  # by the number of scenes of two
 
     @property
@@ -64,22 +68,23 @@ class FollowsNextAhead:
         """Infer the graph, as the model does."""
         return self.model.begin(history)
 
-    @torch.no_grad()
     def act(
-        self, memory: PolicyState, state: Float[Tensor, "B N D"], nearby: Nearby | None = None
+        self, memory: PolicyState, state: Float[Tensor, "B N D"], nearby: Nearby | NextAhead | None = None
     ) -> tuple[Float[Tensor, "B N A"], PolicyState]:
         """The mean action under the graph; along the road at most that behind the next vehicle ahead."""
         action, memory = self.model.act(memory, state)
-        values = state.numpy()
+        values = state.detach().numpy()
         in_pairs = self._in_scenes(values.shape[0] * values.shape[1])
-        gap, other = self.next_ahead(values, nearby)
-        there = np.isfinite(gap)
-        scenes = np.stack([values[there], other[there]], 1)
-        if len(scenes):
-            scenes[..., 0] -= scenes[:, 1:, 0]  # as `relative`
-            behind = (in_pairs if len(scenes) == there.size else self._in_scenes(len(scenes)))(scenes)
-            careful = action.numpy()
-            careful[there, 0] = np.minimum(careful[there, 0], behind[:, 0, 0])
+        outside = NextAhead.of(nearby) if isinstance(nearby, Nearby) else nearby
+        who, leader = self.next_ahead(values, outside)[1:]
+        if len(who):
+            n, features = len(who), values.shape[2]
+            scenes = np.empty((n, 2, features), values.dtype)
+            scenes[:, 0], scenes[:, 1] = values.reshape(-1, features)[who], leader
+            scenes[..., 0] -= leader[:, :1]  # as `relative`
+            behind = (in_pairs if n == in_pairs.shape[0] else self._in_scenes(n))(scenes)
+            along = action.numpy().reshape(-1, action.shape[2])[:, 0]
+            along[who] = np.minimum(along[who], behind[:, 0, 0])
         return action, memory
 
     def few_vehicles(self, memory: PolicyState) -> tuple[FewVehicles, FewVehicles] | None:
@@ -97,7 +102,8 @@ class FollowsNextAhead:
             if self.model.training or count > most:
                 vocabulary = self.model.config.vocabulary
                 follow = InteractionGraph.of_edges({(1, 0): EdgeType.FOLLOW}, vocabulary, 2, batch=count)
-                few = bind_numpy(self.model.decoder, dense(follow.one_hot))
+                with torch.no_grad():
+                    few = bind_numpy(self.model.decoder, dense(follow.one_hot))
                 assert isinstance(few, FewVehicles), "a feed-forward decoder drives two vehicles in numpy"
                 self._in_pairs = {count: few}
             else:
@@ -105,38 +111,41 @@ class FollowsNextAhead:
         return self._in_pairs[count]
 
     def next_ahead(
-        self, state: Float[np.ndarray, "B N D"], nearby: Nearby | None
-    ) -> tuple[Float[np.ndarray, "B N"], Float[np.ndarray, "B N D"]]:
-        """Net gap [m] from each vehicle to the next one ahead in its path, inf where there is none, and its state.
+        self, state: Float[np.ndarray, "B N D"], outside: NextAhead | None
+    ) -> tuple[Float[np.ndarray, "B N"], Int[np.ndarray, " K"], Float[np.ndarray, "K D"]]:
+        """Net gap [m] from each vehicle to the next one ahead in its path, inf where there is none.
 
-        A member of the group is known with its whole state, and in the path as soon as it will be within `LOOK_AHEAD`.
-        Of others only place and speed are known; they count as driving straight on at a constant speed, beside nobody.
+        Also the K vehicles that have one, counted through all groups, and the states of those ahead of them. A member
+        of the group is known with its whole state, and in the path as soon as it will be within `LOOK_AHEAD`.
+        Of others (`outside`) only place and speed are known; they count as driving straight on at a constant speed,
+        beside nobody.
         """
-        planar = "y" in self.dynamics.state
         ahead = _from_each(state[..., 0])
         in_path: Bool[np.ndarray, "B N N"] = ahead > 0
-        if planar:
+        if self._planar:
             across = _from_each(state[..., 1])
-            heading = state[..., self.dynamics.index("heading")]
-            sideways = _from_each(state[..., self.dynamics.speed] * np.sin(heading))
-            beside = np.abs(across) - np.maximum(-np.sign(across) * sideways, 0) * np.float32(LOOK_AHEAD)
-            in_path &= beside < np.float32(OWN_WIDTH)
-        gaps = np.where(in_path, ahead - np.float32(LENGTH), np.float32(np.inf))
-        which = gaps.argmin(-1)
-        batch = np.arange(len(state))[:, None]
-        gap, other = gaps[batch, np.arange(state.shape[1]), which], state[batch, which]
-        if nearby is None:
-            return gap, other
-        outside, v = (of.numpy() for of in nearby.next_ahead())
-        nearer = outside < gap
-        if nearer.any():
-            outsider = np.zeros((np.count_nonzero(nearer), state.shape[2]), state.dtype)
-            outsider[:, 0] = state[nearer, 0] + outside[nearer] + np.float32(LENGTH)
-            if planar:
-                outsider[:, 1] = state[nearer, 1]
-            outsider[:, self.dynamics.speed] = v[nearer]
-            gap[nearer], other[nearer] = outside[nearer], outsider
-        return gap, other
+            closer = _from_each(state[..., self._speed] * np.sin(state[..., self._heading]))
+            closer *= -np.sign(across)
+            np.maximum(closer, 0, out=closer)
+            closer *= _LOOK_AHEAD
+            in_path &= np.abs(across) - closer < _OWN_WIDTH
+        ahead -= _LENGTH
+        gaps = np.where(in_path, ahead, _NONE)
+        gap, flat = gaps.min(-1), state.reshape(-1, state.shape[2])
+        if outside is not None:
+            inside, gap = gap, np.minimum(gap, outside.gap)
+        (who,) = np.nonzero(gap.ravel() < _NONE)
+        group = who // state.shape[1]
+        leader = flat[group * state.shape[1] + gaps.argmin(-1).ravel()[who]]
+        if outside is not None and (nearer := (outside.gap < inside).ravel()[who]).any():
+            own, v = flat[who[nearer]], outside.v.ravel()[who[nearer]]
+            outsider = np.zeros_like(own)
+            outsider[:, 0] = own[:, 0] + outside.gap.ravel()[who[nearer]] + _LENGTH
+            if self._planar:
+                outsider[:, 1] = own[:, 1]
+            outsider[:, self._speed] = v
+            leader[nearer] = outsider
+        return gap, who, leader
 
 
 def _from_each(values: Float[np.ndarray, "B N"]) -> Float[np.ndarray, "B N N"]:

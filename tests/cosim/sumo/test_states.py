@@ -49,7 +49,7 @@ def test_near_ones_and_those_in_spans_are_what_two_readings_give(running):
         s = before.s[[before.row_of[vehicle] for vehicle in around if vehicle in before.row_of]]
         spans = np.array([[s.min() - 120.0, s.max() + 120.0]])
         world.step()
-        near, recorded = world.near_and_recorded(running.frame, around, spans)
+        near, recorded = world.near_and_recorded(running.frame, around, lambda spans=spans: spans)
         before = world.snapshot(running.frame)
         rows = [before.row_of[vehicle] for vehicle in near.ids]
         assert np.array_equal(near.state, before.state[rows])
@@ -72,7 +72,7 @@ def test_near_ones_do_not_depend_on_who_is_recorded(running):
     around = world.snapshot(running.frame).ids[40:60:7]
     for _ in range(6):
         world.step()
-        near, everybody = world.near_and_recorded(running.frame, around, np.array([[-1e6, 1e6]]))
+        near, everybody = world.near_and_recorded(running.frame, around, lambda: np.array([[-1e6, 1e6]]))
         assert_same(near, world.snapshot(running.frame, around))
         assert everybody.ids == world.snapshot(running.frame).ids
 

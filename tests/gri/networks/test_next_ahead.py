@@ -5,7 +5,7 @@ import torch
 
 from gri import checkpoint
 from gri.core.graph import EdgeType, InteractionGraph
-from gri.core.nearby import Nearby
+from gri.core.nearby import Nearby, NextAhead
 from gri.core.policy import PolicyState
 from gri.core.trajectory import Trajectory
 from gri.networks.decoder import DecoderConfig
@@ -69,17 +69,17 @@ def test_the_answer_is_that_of_the_model_under_follow(merge):
 
 def test_who_is_next_ahead(merge):
     policy, now = FollowsNextAhead(merge), state((-20.0, -3.75, 10.0), (-40.0, 0.0, 10.0), (0.0, 0.2, 10.0))
-    gap, other = policy.next_ahead(now.numpy(), None)
+    gap, who, other = policy.next_ahead(now.numpy(), None)
     assert gap[0].tolist() == [float("inf"), pytest.approx(35.0), float("inf")]
-    assert other[0, 1].tolist() == now[0, 2].tolist()
-    gap, other = policy.next_ahead(now.numpy(), nearby(15.0, 0.0, 3.0, length=12.0))
+    assert who.tolist() == [1]
+    assert other[0].tolist() == now[0, 2].tolist()
+    gap, who, other = policy.next_ahead(now.numpy(), NextAhead.of(nearby(15.0, 0.0, 3.0, length=12.0)))
     assert gap[0].tolist() == pytest.approx([3.0, 3.0, 3.0])  # nearer than the leader is to the lag vehicle
-    assert other[0, 1].tolist() == pytest.approx([-32.0, 0.0, 3.0, 0.0, 0.0, 0.0])  # as if it were 5 m long
-    assert other[0, 0, 1].item() == -3.75, "beside nobody: in the lane of the vehicle itself"
-    assert (
-        policy.next_ahead(now.numpy(), nearby(15.0, 3.6, 3.0))[0][0].tolist()
-        == policy.next_ahead(now.numpy(), None)[0][0].tolist()
-    )
+    assert who.tolist() == [0, 1, 2]
+    assert other[1].tolist() == pytest.approx([-32.0, 0.0, 3.0, 0.0, 0.0, 0.0])  # as if it were 5 m long
+    assert other[0, 1].item() == -3.75, "beside nobody: in the lane of the vehicle itself"
+    beside, *_ = policy.next_ahead(now.numpy(), NextAhead.of(nearby(15.0, 3.6, 3.0)))
+    assert beside[0].tolist() == policy.next_ahead(now.numpy(), None)[0][0].tolist()
 
 
 @pytest.mark.parametrize(("heading", "followed"), [(0.0, False), (0.2, True), (-0.2, False)])
@@ -87,7 +87,7 @@ def test_a_vehicle_that_moves_over_is_in_the_path_a_second_before(merge, heading
     """Vehicle 0 is 3 m beside vehicle 1 and ahead of it; at 10 m/s and 0.2 rad it comes 2 m nearer in a second."""
     now = state((-10.0, -3.0, 10.0), (-30.0, 0.0, 10.0), (500.0, 0.0, 10.0))
     now[0, 0, merge.dynamics.index("heading")] = heading
-    gap, _ = FollowsNextAhead(merge).next_ahead(now.numpy(), None)
+    gap, *_ = FollowsNextAhead(merge).next_ahead(now.numpy(), None)
     assert gap[0, 1].item() == pytest.approx(15.0 if followed else 525.0)
     assert gap[0, 0].item() == pytest.approx(505.0) if followed else gap[0, 0].item() == float("inf")
 
