@@ -94,9 +94,10 @@ def scenario_text(configuration: str, road: MainRoad, use: NetUse, choice: Choic
     group = (
         f"{{rule: car_following{gap}}}  # vehicles one behind the other"
         if lane is None
-        else f"{{rule: merge, lane: {_scalar(lane.lane)}, zone: [{choice.zone[0]}, {choice.zone[1]}]{gap}}}"
-        f"  # the lane ends; from s = {lane.begin:g} to {lane.end:g} m"
+        else f"{{rule: merge, lane: {_scalar(lane.lane)}, zone: [{choice.zone[0]}, {choice.zone[1]}]{gap},"
+        f" newcomers: join}}  # the lane ends; from s = {lane.begin:g} to {lane.end:g} m"
     )
+    sees = "" if lane is None else ", sees: everybody"
     edges, origin = ", ".join(map(_scalar, road.edges)), _scalar(road.edges[0])
     return f"""# Proposed by `cosim new {Path(configuration).name}`. Mean speed on the main road {speed:.1f} m/s.
 # road: s = 0 is where `origin` begins. group: gaps and s in m. warm_up: until the number of vehicles has settled.
@@ -104,7 +105,7 @@ description: {_scalar(f"Groups in the traffic of {Path(configuration).name}")}
 road: {{edges: [{edges}], origin: {origin}, length: {int(road.length - MARGIN)}}}
 traffic: {{sumocfg: {_scalar(configuration)}, warm_up: {warm_up(use, demand):g}}}
 group: {group}
-policy: {{kind: gri, checkpoint: {MODELS[choice.rule]}}}
+policy: {{kind: gri, checkpoint: {MODELS[choice.rule]}{sees}}}
 horizon: {choice.horizon:g}  # [s] that a group is driven for, at most
 groups_at_once: {6 if lane is None else 2}
 episodes: 10

@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 from cosim.spec import scenario as spec
 from cosim.spec.input_files import checkpoint_path
@@ -62,8 +63,19 @@ def check_meaning(objective: str, path: Path) -> None:
     if objective == NO_MEANING:
         raise InputError(
             f"{path}: got policy.sees: everybody for a model of {objective}, whose edge types have no meaning, so"
-            " that it has not learned to follow; leave sees out, or choose another policy.checkpoint"
+            " that it has not learned to follow; write policy.sees: group, or choose another policy.checkpoint"
         )
+
+
+def seen_like(named: spec.Driver, path: Path) -> Literal["group", "everybody"]:
+    """What a checkpoint is to see beside the policy that a scenario names: as much, if it has learned to follow.
+
+    Raises:
+        InputError: the file is no checkpoint.
+    """
+    if not isinstance(named, spec.TrainedPolicy) or named.sees == "group":
+        return "group"
+    return "group" if checked_header(path).objective == NO_MEANING else "everybody"
 
 
 def check_size(any_size: bool, rule: spec.GroupRule, path: Path) -> None:

@@ -15,6 +15,7 @@ from msgspec import Struct
 from msgspec.structs import replace
 
 from cosim.perturb.traffic_demand import perturbed_traffic
+from cosim.runs.policy_fit import seen_like
 from cosim.spec.demand import Traffic
 from cosim.spec.input_files import checkpoint_path, files_of_policy, find_net, sha256
 from cosim.spec.loading import override
@@ -252,7 +253,8 @@ def policies_of(names: Sequence[str], scenario: Scenario) -> dict[str, Driver]:
     """The policies by name: a baseline, a released checkpoint, or the path of a checkpoint.
 
     `own` is the policy of a scenario that names code. `gri` is the checkpoint C that the scenario names; another word
-    W, such as `supervised`, is the checkpoint "C_W" if there is one. Names with additions, such as `gri+predict+rss`,
+    W, such as `supervised`, is the checkpoint "C_W" if there is one. All see as much as the policy that the scenario
+    names, if they can. Names with additions, such as `gri+predict+rss`,
     are rows of their own (`scenario_for`). Raises `InputError` for an unknown checkpoint, an addition that makes no
     sense, or a name given twice.
     """
@@ -282,11 +284,9 @@ def policies_of(names: Sequence[str], scenario: Scenario) -> dict[str, Driver]:
             candidates.append(own if name == "gri" else f"{own}_{name}")
         known = [candidate for candidate in candidates if _exists(candidate)]
         checkpoint = known[0] if known else name
-        checkpoint_path(checkpoint, "--policy")  # raises if there is no such checkpoint
+        path = checkpoint_path(checkpoint, "--policy")  # raises if there is no such checkpoint
         short = name.removesuffix(".safetensors").rpartition("/")[2]
-        named = scenario.policy
-        as_named = isinstance(named, TrainedPolicy) and checkpoint == named.checkpoint and named.sees == "everybody"
-        sees = "everybody" if as_named or AHEAD in added else "group"
+        sees = "everybody" if AHEAD in added else seen_like(scenario.policy, path)
         found["+".join([short, *added])] = TrainedPolicy(checkpoint=checkpoint, sees=sees)
     if len(found) < len(names):
         raise InputError(f"--policy: got {', '.join(names)}, expected each policy once, by different names")

@@ -5,7 +5,7 @@ from msgspec.structs import replace
 
 from cosim.spec.loading import load_scenario
 from cosim.spec.perturbations import KINDS, HeadwayRatio
-from cosim.spec.scenario import ConstantVelocity, Idm, LeftToSumo, Replay, RssFilter, TrainedPolicy, UserPolicy
+from cosim.spec.scenario import ConstantVelocity, Driver, Idm, LeftToSumo, Replay, RssFilter, TrainedPolicy, UserPolicy
 from cosim.stress.plan import Cell, chunks, perturbed_scenario, policies_of, scenario_for, senseless, sweeps_of
 from gri.errors import InputError
 from gri.resources import find_checkpoint
@@ -183,13 +183,21 @@ def test_bad_policies(scenario):
         policies_of(["idm", "idm"], scenario)
 
 
+def test_trained_policies_see_as_much_as_the_one_that_the_scenario_names():
+    scenario = load_scenario("us101_merge")  # sees everybody
+    found = policies_of(["gri", "supervised+rss", "nri"], scenario)
+    assert _seen(found) == {"gri": "everybody", "supervised+rss": "everybody", "nri": "group"}  # NRI cannot
+    alone = replace(scenario, policy=TrainedPolicy(checkpoint="us101_merge", sees="group"))
+    assert _seen(policies_of(["gri", "supervised+rss", "nri"], alone)) == dict.fromkeys(found, "group")
+
+
 def test_ahead_after_a_name_lets_a_trained_policy_see_everybody():
-    scenario = load_scenario("us101_merge")
-    found = policies_of(["gri", "gri+ahead", "supervised+ahead+rss"], scenario)
-    assert {name: policy.sees for name, policy in found.items() if isinstance(policy, TrainedPolicy)} == {
-        "gri": "group",
-        "gri+ahead": "everybody",
-        "supervised+ahead+rss": "everybody",
-    }
+    scenario = load_scenario("us101_car_following")  # sees its group
+    found = policies_of(["gri", "gri+ahead", "us101_merge_supervised+ahead+rss"], scenario)
+    assert _seen(found) == {"gri": "group", "gri+ahead": "everybody", "us101_merge_supervised+ahead+rss": "everybody"}
     with pytest.raises(InputError, match="only trained policies"):
         policies_of(["idm+ahead"], scenario)
+
+
+def _seen(policies: dict[str, Driver]) -> dict[str, str]:
+    return {name: policy.sees for name, policy in policies.items() if isinstance(policy, TrainedPolicy)}
