@@ -76,9 +76,9 @@ def _steps(number: np.int32, episode: Episode, counterpart: bool) -> pd.DataFram
     n = len(episode.time)
     size = len(episode.order)
     towards = {name: np.full((n, size), np.nan) for name in ("gap", "ttc")}
-    for name in towards:
-        values = np.where(episode.unchanged[:, None], getattr(episode, name), np.nan)  # lengths are of the take-over
-        towards[name][:, episode.order[:-1]] = values
+    held = episode.held[:, episode.order]
+    for name in towards:  # lengths are those of the take-over
+        towards[name][:, episode.order[:-1]] = np.where(held[:, 1:] & held[:, :-1], getattr(episode, name), np.nan)
     return pd.DataFrame(
         {
             "episode": number,
@@ -111,9 +111,11 @@ def groups_table(
 
 
 def _group(number: int, episode: Episode, expected: Mapping[tuple[int, int], EdgeType]) -> dict[str, Any]:
-    way = episode.during_drive & episode.unchanged
+    way = episode.during_drive
+    own = episode.held[way][:, :-1]
     after = (episode.time > episode.end + 1e-6)[:, None] & episode.valid[:, :-1]
-    owned_jerk = np.abs(episode.jerk[way][1:, :-1])  # empty where another vehicle joined in the first step
+    speed, acceleration, jerk = (x[way][:, :-1] for x in (episode.feature("v"), episode.feature("a"), episode.jerk))
+    owned_jerk = np.abs(jerk[1:][own[1:]])
     return {
         "episode": np.int32(number),
         "driver": episode.driver,
@@ -129,9 +131,9 @@ def _group(number: int, episode: Episode, expected: Mapping[tuple[int, int], Edg
         **filter_columns(episode),
         **_inferred_graph_columns(episode, expected),
         **safety_measures(episode),
-        "mean_speed": float(episode.feature("v")[way][:, :-1].mean()),
+        "mean_speed": float(speed[own].mean()),
         "jerk_within_3": float((owned_jerk <= 3).mean()) if owned_jerk.size else np.nan,
-        "min_acceleration": float(episode.feature("a")[way][:, :-1].min()),
+        "min_acceleration": float(acceleration[own].min()),
         **_brakings(episode, way, ""),
         **_brakings(episode, episode.time > episode.end + 1e-6, "_after"),
         "min_acceleration_after": float(np.where(after, episode.feature("a")[:, :-1], np.inf).min()),
@@ -141,8 +143,8 @@ def _group(number: int, episode: Episode, expected: Mapping[tuple[int, int], Edg
 
 def _brakings(episode: Episode, when: Bool[np.ndarray, " T"], suffix: str) -> dict[str, int]:
     """How often a driven vehicle begins to brake harder than each threshold of BRAKING at these instants."""
-    when = when & (episode.time <= episode.end + AFTERMATH + 1e-6)
-    tracks = [track_of_role(episode, role)[when & episode.valid[:, role]] for role in episode.judged_roles]
+    when = (when & (episode.time <= episode.end + AFTERMATH + 1e-6))[:, None] & episode.valid & episode.held
+    tracks = [track_of_role(episode, role)[when[:, role]] for role in episode.judged_roles]
     return {
         f"brakings_{threshold:.0f}{suffix}": sum(brakings(track, threshold) for track in tracks if len(track.time))
         for threshold in BRAKING

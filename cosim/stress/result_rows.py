@@ -31,11 +31,11 @@ def result_row(
 
     `before` is the snapshot at the take-over, `trace` has one snapshot per driven step after it, `driven` are the roles
     that the policy drove. Conflicts and comfort are measured from the first step to the end of the drive; comfort
-    leaves out the first step, which contains the jump of a displaced start. The follower is measured as long as any
-    group of the round is driven.
+    leaves out the first step, which contains the jump of a displaced start, and vehicles that lost their role. The
+    follower is measured as long as any group of the round is driven.
     """
-    during = (episode.time > episode.group.time + 1e-6) & (episode.time <= episode.end + 1e-6) & episode.unchanged
-    own = [track_of_role(episode, role)[during] for role in episode.followers]
+    during = (episode.time > episode.group.time + 1e-6) & (episode.time <= episode.end + 1e-6)
+    own = [track_of_role(episode, role)[during & episode.held[:, role]] for role in episode.followers]
     names = [] if third_gone else [episode.group.leader]
     names += [change.successor] if change.successor is not None else []
     d = episode.feature("d")[episode.during_drive]

@@ -194,6 +194,30 @@ class Episode:
         return self.time < min((change.time for change in self.role_changes), default=np.inf) - 1e-6
 
     @property
+    def held(self) -> Bool[np.ndarray, "T N"]:
+        """Whether each role is still that of the vehicle that had it at the take-over; one that comes back is new."""
+        held = np.ones((len(self.time), len(self.order)), dtype=bool)
+        for change in self.role_changes:
+            held[self.time > change.time - 1e-6, change.role] = False
+        return held
+
+    @property
+    def spells(self) -> list[tuple[float, float, tuple[str, ...], tuple[int, ...]]]:
+        """The times during which nobody joins, in order.
+
+        Each has its begin [s], the instant at which the next one begins [s], the ids by role, and the roles of vehicles
+        that had them from the take-over on.
+        """
+        ids, kept, found, begin = [*self.group.ids], [*range(len(self.order))], [], self.group.time
+        for change in self.role_changes:
+            if change.time > begin + 1e-6:
+                found.append((begin, change.time, tuple(ids), tuple(kept)))
+                begin = change.time
+            ids[change.role] = change.vehicle
+            kept = [role for role in kept if role != change.role]
+        return [*found, (begin, np.inf, tuple(ids), tuple(kept))]
+
+    @property
     def kept_roles(self) -> tuple[int, ...]:
         """The judged roles of the vehicles that had them from the take-over on."""
         changed = {change.role for change in self.role_changes}

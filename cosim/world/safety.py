@@ -17,33 +17,47 @@ SAME_LANE = 2.0  # [m] across the road
 def safety_measures(episode: Episode, third: Sequence[str] | None = None) -> dict[str, float]:
     """The worst value of each measure of `conflicts`, from the first step after the take-over to the end of the drive.
 
-    Where another vehicle joins the group, they are those of the time before.
+    Where another vehicle joins the group, it is a member from then on, and whom it replaced is another vehicle. A
+    vehicle counts as driven until it loses its role. A post-encroachment is measured among the same members.
 
     Args:
-        episode: with its surroundings; without them the measures to other vehicles are those of an empty road.
-        third: the vehicles that count as the leader; by default the one that had this role at the take-over.
+        episode: with its surroundings; without them the measures to other vehicles are those of an empty road, and
+            so are those of vehicles that joined.
+        third: the vehicles that count as the leader; by default the one that had this role at the take-over. Only
+            while nobody joined.
 
     Other vehicles are measured where they are less than 80 m away from a driven one in its lane, or less than 25 m
     along the road in a lane beside it.
     """
-    driven, end = episode.judged_roles, episode.end
-    if not episode.unchanged.all():  # another vehicle joined
-        end = min(end, float(episode.time[episode.unchanged][-1]))
-    during = (episode.time > episode.group.time + 1e-6) & (episode.time <= end + 1e-6)
-    members = [track_of_role(episode, role)[during] for role in episode.followers]
+    first, *later = episode.spells
+    found = [_during(episode, *first, first[2][-1:] if third is None else third)]
+    found += [_during(episode, *spell, spell[2][-1:]) for spell in later]
+    return {name: (max if name.startswith("max_") else min)(spell[name] for spell in found) for name in found[0]}
+
+
+def _during(
+    episode: Episode, begin: float, until: float, ids: Sequence[str], kept: Sequence[int], third: Sequence[str]
+) -> dict[str, float]:
+    """The measures from one instant to before another [s], while these vehicles have the roles, some as at first."""
+    after, end = max(begin - 1e-6, episode.group.time + 1e-6), min(until - 2e-6, episode.end) + 1e-6
+    during = (episode.time > after) & (episode.time <= end)
+    own = [role for role in episode.followers if role in kept]
+    members = {role: track_of_role(episode, role)[during] for role in own}
+    driven = [own.index(role) for role in episode.judged_roles if role in own]
     around = episode.surroundings
     if around is None:
-        return conflicts([*members, track_of_role(episode, episode.order[-1])[during]], driven)
-    around = around[(around.time > episode.group.time + 1e-6) & (around.time <= end + 1e-6)]
-    third = episode.group.ids[-1:] if third is None else third
-    known = [around.ids.index(name) for name in third if name in around.ids]
-    leaders = [track_of(around, np.flatnonzero(around.vehicle == k)) for k in known]
-    others = _near(episode, driven, around)
-    own = [k for k, name in enumerate(around.ids) if name in episode.group.ids[:-1]]
+        alone = [track_of_role(episode, episode.order[-1])[during]] if episode.order[-1] in kept else []
+        return conflicts([*members.values(), *alone], driven)
+    around = around[(around.time > after) & (around.time <= end)]
+    joined = [ids[role] for role in episode.followers if role not in members]
+    known = [around.ids.index(name) for name in [*joined, *third] if name in around.ids]
+    more = [track_of(around, np.flatnonzero(around.vehicle == k)) for k in known]
+    others = _near(episode, [role for role in episode.judged_roles if role in own], around)
+    told = [k for k, name in enumerate(around.ids) if name in [ids[role] for role in own]]
     return conflicts(
-        [*members, *(leader for leader in leaders if len(leader.time))],
+        [*members.values(), *(track for track in more if len(track.time))],
         driven,
-        list(_unbroken(others[~np.isin(others.vehicle, [*own, *known])], episode.time)),
+        list(_unbroken(others[~np.isin(others.vehicle, [*told, *known])], episode.time)),
     )
 
 

@@ -37,7 +37,8 @@ def test_a_trained_policy_that_sees_everybody_follows_who_is_ahead():
     scenario = load_scenario("us101_merge")
     seeing = msgspec.structs.replace(scenario.policy, sees="everybody")
     assert isinstance(policy_of(msgspec.structs.replace(scenario, policy=seeing)), FollowsNextAhead)
-    assert isinstance(policy_of(scenario), RelationalModel)
+    alone = msgspec.structs.replace(scenario.policy, sees="group")
+    assert isinstance(policy_of(msgspec.structs.replace(scenario, policy=alone)), RelationalModel)
     nri = msgspec.structs.replace(seeing, checkpoint="us101_merge_nri")
     with pytest.raises(InputError, match="no meaning"):
         policy_of(msgspec.structs.replace(scenario, policy=nri))

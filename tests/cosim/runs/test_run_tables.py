@@ -497,15 +497,22 @@ def test_large_groups_report_their_neighbours_and_small_ones_all_pairs():
 
 
 def test_a_group_that_another_vehicle_joins_in_the_first_step():
-    """Its measures are those before the change; of the drive itself there is nothing left to measure."""
-    joined = replace(episode(), role_changes=(RoleChange(101.2, 2, "d"), RoleChange(101.2, 1, "c")))
+    """Its measures are those of vehicles that kept their roles."""
+    fast = episode()
+    fast.state[fast.time > 101.1, 1, COLUMNS.index("v")] = 20.0  # another vehicle in the role
+    joined = replace(fast, role_changes=(RoleChange(101.2, 2, "d"), RoleChange(101.2, 1, "c")))
     assert joined.members[0] == ("a", "b", "c")
     assert joined.members[-1] == ("a", "c", "d")
     assert joined.kept_roles == (0,)
+    assert joined.held[0].all()
+    assert joined.held[-1].tolist() == [True, False, False]
+    assert joined.spells == [(101.0, 101.2, ("a", "b", "c"), (0, 1, 2)), (101.2, np.inf, ("a", "c", "d"), (0,))]
     (group,) = groups_table([joined], CHAIN).to_dict("records")
     assert group["joined"] == 1
-    assert np.isnan(group["jerk_within_3"])
-    assert group["mean_speed"] == 10.0, "at the take-over"
+    assert group["jerk_within_3"] == 1.0, "of vehicle 0"
+    assert group["mean_speed"] == 10.0, "of vehicle 0, and of vehicle 1 at the take-over"
+    steps = steps_table([joined])
+    assert steps[steps["time"] > 101.1]["gap"].isna().all(), "lengths are those of the take-over"
     assert group["completed"]
     vehicles = steps_table([joined]).pivot_table(index="time", columns="role", values="vehicle", aggfunc="first")
     assert vehicles.loc[101.0].tolist() == ["a", "b", "c"]
