@@ -6,10 +6,10 @@ from typing import Any, get_args
 
 import msgspec
 
-from cosim.scenes.scene_rules import DEFAULT_KINDS, DT, KINDS, Kind, Rules
+from cosim.scenes.scene_rules import ANY_SIZE, DEFAULT_KINDS, DT, KINDS, Kind, Rules
 from cosim.spec.demand import CarFollowingModel
 from cosim.spec.loading import override
-from cosim.spec.scenario import Scenario, SimulatedTraffic
+from cosim.spec.scenario import USUAL_SIZE, Scenario, SimulatedTraffic
 from gri.errors import InputError
 
 
@@ -46,12 +46,22 @@ def with_car_following(scenario: Scenario, model: str | None) -> Scenario:
     return msgspec.structs.replace(scenario, traffic=msgspec.structs.replace(scenario.traffic, vehicles=vehicles))
 
 
-def kinds_of(names: Sequence[str] | None) -> tuple[Kind, ...]:
-    """The named kinds, each once; car following and merges where no name is given."""
+def kinds_of(names: Sequence[str] | None, size: int = USUAL_SIZE) -> tuple[Kind, ...]:
+    """The named kinds, each once; where no name is given, car following, and merges of groups of three.
+
+    Raises:
+        InputError: a kind is unknown, or has always three vehicles while `size` is another number.
+    """
     for name in names or ():
         if name not in KINDS:
             raise InputError(f"--kind: got {name!r}, wanted one of {', '.join(KINDS)}")
-    return tuple(kind for kind in KINDS if kind in (names or DEFAULT_KINDS))
+        if size != USUAL_SIZE and name not in ANY_SIZE:
+            raise InputError(
+                f"--kind: got {name} for group.size {size}, but a {name} has three vehicles; set group.size to 3, or"
+                f" give --kind {ANY_SIZE[0]}"
+            )
+    wanted = names or (DEFAULT_KINDS if size == USUAL_SIZE else ANY_SIZE)
+    return tuple(kind for kind in KINDS if kind in wanted)
 
 
 def rules_of(*, at_most: Sequence[str], **changes: Any) -> Rules:

@@ -64,27 +64,21 @@ def scenes(
     max_work: MaxWorkOption = None,
     table_format: FormatOption = "table",
 ) -> None:
-    """Make labelled three-vehicle scenes from simulated traffic.
+    """Make labelled scenes from simulated traffic, of three vehicles or of chains of `group.size`.
 
     The labels say which vehicle follows, yields to or cuts in on which.
     """
     from cosim.commands.scene_options import changed, kinds_of, rules_of, with_car_following
     from cosim.spec.loading import load_scenario, override
-    from cosim.spec.scenario import USUAL_SIZE
-    from gri.errors import InputError
 
     named = load_scenario(scenario, max_work=max_work, settings=settings or ())
     seeded = override(named, {} if seed is None else {"seed": seed})
     chosen = with_car_following(changed(seeded, scenario, step), car_following)
-    if chosen.group.size != USUAL_SIZE:
-        raise InputError(
-            f"group.size: got {chosen.group.size}, scenes have three vehicles; set it to 3, or leave it out"
-        )
     rules = rules_of(
         strategic=not any_change, at_most=at_most or [], interaction=interaction, spacing=spacing,
         per_vehicle=per_vehicle, reduction=reduction,
     )  # fmt: skip
-    kinds = kinds_of(kind)
+    kinds = kinds_of(kind, chosen.group.size)
     from cosim.scenes.dataset import DatasetSpec, make, remove_seeds
     from cosim.scenes.dataset_report import report_of, tables
     from gri.storage.claims import claimed_folder

@@ -68,9 +68,13 @@ class SafetyFilter:
     def _greatest_headings(self, near: NearVehicles) -> tuple[Float[np.ndarray, "G N"], Float[np.ndarray, "G N"]]:
         """The headings [rad] to the left and right at which the rear of a vehicle does not swing into one beside it.
 
-        A vehicle turns about its front, so its rear swings to the other side, the farther the slower it drives.
+        A vehicle turns about its front, so its rear swings to the other side, the farther the slower it drives. Who
+        will be beside it soon counts as well.
         """
-        beside = near.other & (near.side_gap >= 0) & (near.gap_ahead < BESIDE) & (near.gap_behind < BESIDE)
+        coming = (near.v - near.pose.v[..., None]) * LOOK_AHEAD
+        beside = near.gap_ahead < BESIDE + np.maximum(-coming, 0.0)
+        beside &= near.gap_behind < BESIDE + np.maximum(coming, 0.0)
+        beside &= near.other & (near.side_gap >= 0)
         found = []
         for side in (-1.0, 1.0):  # a turn to the left needs room on the right
             room = np.where(beside & (near.direction == side), near.side_gap, np.inf).min(-1) - SIDE_MARGIN

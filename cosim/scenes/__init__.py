@@ -1,4 +1,4 @@
-"""Training scenes of three vehicles, cut out of SUMO traffic and labelled with which vehicle reacts to which.
+"""Training scenes, cut out of SUMO traffic and labelled with which vehicle reacts to which.
 
 The steps are: `seed_scenes` simulates one seed; `trajectory_buffer` keeps the last seconds of traffic and starts
 interventions (`counterfactual_speeds`, `last_decisions`); `candidates` finds following chains, merges and triples;

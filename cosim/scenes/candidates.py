@@ -15,14 +15,15 @@ from cosim.world.snapshot import LaneChange
 
 NEXT_LANE = 5.5  # [m]; lanes beside each other are closer
 Triple = tuple[int, int, int]
+Chain = tuple[int, ...]
 
 
 @dataclass(frozen=True)
 class Window:
-    """A candidate: three vehicle numbers in the order of roles, and the buffer's index of its step 0."""
+    """A candidate: vehicle numbers in the order of roles, and the buffer's index of its step 0."""
 
     kind: Kind
-    vehicles: Triple
+    vehicles: Chain
     begin: int
 
 
@@ -34,8 +35,10 @@ def rows_at_every_step(steps: Sequence[BufferedStep], vehicles: Sequence[int]) -
         return None
 
 
-def following_chains(steps: Sequence[BufferedStep], lanes: Sequence[Lane], counts: Counter[str]) -> list[Triple]:
-    """Triples in which 0 follows 1 and 1 follows 2 in one lane during all these steps, sorted.
+def following_chains(
+    steps: Sequence[BufferedStep], lanes: Sequence[Lane], counts: Counter[str], size: int
+) -> list[Chain]:
+    """Chains of `size` vehicles in which 0 follows 1, 1 follows 2, ... in one lane during all these steps, sorted.
 
     Vehicles whose leader or lane changes are counted in `counts`.
     """
@@ -54,8 +57,11 @@ def following_chains(steps: Sequence[BufferedStep], lanes: Sequence[Lane], count
     counts["leader or lane changes"] += int((~constant).sum())
     leader_of = dict(zip(np.array(present)[constant].tolist(), leader[constant, 0].tolist(), strict=True))
     centre_of = dict(zip(present, centre[:, 0].tolist(), strict=True))
-    triples = [(k, i, leader_of[i]) for k, i in leader_of.items() if i in leader_of and leader_of[i] in centre_of]
-    return sorted(trio for trio in triples if max(at := [centre_of[v] for v in trio]) - min(at) < SAME_LANE)
+    chains: list[Chain] = [(k,) for k in leader_of]
+    for _ in range(size - 1):
+        chains = [(*chain, leader_of[chain[-1]]) for chain in chains if chain[-1] in leader_of]
+    chains = [chain for chain in chains if chain[-1] in centre_of]  # the last one has no leader, or any
+    return sorted(chain for chain in chains if max(at := [centre_of[v] for v in chain]) - min(at) < SAME_LANE)
 
 
 def triples(steps: Sequence[BufferedStep], section: RoadSection, rules: Rules) -> dict[str, list[Triple]]:

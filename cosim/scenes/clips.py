@@ -24,17 +24,17 @@ class Clip:
     time: float
     """Simulation time of step 0 [s]."""
     drivers: tuple[DriverParameters, ...]
-    values: Float[np.ndarray, "3 M F"]
+    values: Float[np.ndarray, "N M F"]
     """Per vehicle and step the columns of the buffer (`trajectory_buffer.COLUMNS`)."""
-    speed_behind_leader: Float[np.ndarray, "3 M"]
+    speed_behind_leader: Float[np.ndarray, "N M"]
     """Speed [m/s] that the car-following model allows behind the leader; inf where no label can depend on it."""
-    speed_behind_target: Float[np.ndarray, "3 M"]
-    """The same behind the target of an urgent lane change, if the target is one of the three vehicles; else inf."""
-    speed_far_behind: Float[np.ndarray, "3 M"]
+    speed_behind_target: Float[np.ndarray, "N M"]
+    """The same behind the target of an urgent lane change, if the target is one of the vehicles; else inf."""
+    speed_far_behind: Float[np.ndarray, "N M"]
     """The same `FAR` behind a leader of the same speed: the free speed of models that approach it gradually."""
 
     @property
-    def speeds(self) -> Float[np.ndarray, "3 M"]:
+    def speeds(self) -> Float[np.ndarray, "N M"]:
         """[m/s]"""
         return self.values[..., COLUMN["v"]]
 
@@ -63,7 +63,7 @@ def cut_clip(window: Window, buffer: TrajectoryBuffer, scene_steps: int) -> Clip
     leader_inside, requester_inside, target_inside = (
         (number[..., None] == window.vehicles).any(-1) for number in (leader, requester, target)
     )
-    # A label can depend on the leader's effect if the leader is one of the three, or if it explains a lower speed.
+    # A label can depend on the leader's effect if the leader is one of these vehicles, or if it explains a lower speed.
     relevant = leader_inside | ((requester_inside | target_inside) & (leader != NO_VEHICLE))
     behind_leader = _allowed_speeds(buffer, steps, ids, values, "gap", np.where(relevant, leader, NO_VEHICLE))
     behind_target = _allowed_speeds(
@@ -83,8 +83,8 @@ def _allowed_speeds(
     ids: list[str],
     values: np.ndarray,
     gap_column: str,
-    ahead: Int[np.ndarray, "3 M"],
-) -> Float[np.ndarray, "3 M"]:
+    ahead: Int[np.ndarray, "N M"],
+) -> Float[np.ndarray, "N M"]:
     """Speeds [m/s] that SUMO's car-following models allow behind the vehicles `ahead`; inf where there is none."""
     allowed = np.full(ahead.shape, np.inf)
     for j, t in np.argwhere(ahead != NO_VEHICLE).tolist():
@@ -133,7 +133,7 @@ def driver_records_of(clips: Sequence[Clip], dt: float, stride: int) -> DriverRe
 
 
 def intervention_effects(clips: Sequence[Clip]) -> tuple[np.ndarray, np.ndarray]:
-    """[S, 3, T] Accelerations [m/s²] that the vehicles owe to their leader, and to requests to make room (negative)."""
+    """[S, N, T] Accelerations [m/s²] that the vehicles owe to their leader, and to requests to make room (negative)."""
     values = np.stack([clip.values[:, :-1] for clip in clips])
     return values[..., COLUMN["effect_of_leader"]], values[..., COLUMN["effect_of_requests"]]
 

@@ -69,10 +69,11 @@ class DatasetSpec(msgspec.Struct, frozen=True, kw_only=True):
         )
 
     def header(self, seeds: int) -> Header:
-        """The metadata of the file: time step and provenance."""
+        """The metadata of the file: time step, vehicles and provenance."""
         flows = {str(k): flow.name for k, flow in enumerate(self.scenario.traffic.flows)}
         return Header(
             dt=DT,
+            vehicles=self.scenario.group.size,
             provenance={
                 "made by": f"gri-cosim {version('gri-cosim')}, SUMO {version('libsumo')}",
                 "sumo": msgspec.to_builtins(self) | {

@@ -17,7 +17,7 @@ from cosim.measures.relation_labels import (
     reduce_labels,
 )
 from cosim.scenes.clips import Clip, decisions_known, driver_records_of, intervention_effects
-from cosim.scenes.scene_rules import DT, HYPOTHESIS, KINDS, RAREST, TRIPLE_SHARES, Kind, Rarest, Rules
+from cosim.scenes.scene_rules import DT, KINDS, RAREST, TRIPLE_SHARES, Kind, Rarest, Rules, hypothesis
 from cosim.scenes.scene_states import road_positions, scene_features
 from cosim.scenes.trajectory_buffer import RoadSection
 from gri.core.edges import LANE_CHANGING, pairs
@@ -90,8 +90,9 @@ class SceneFilter:
         if not len(chosen):
             return None
         labels, rule = (PairLabels(of.types[chosen], of.effect[chosen]) for of in (labels, rule))
-        self._count_labels(kind, labels, rule, graph[chosen], clear[chosen])
-        hypothesis = names_of(HYPOTHESIS[kind])
+        size = records.vehicle.shape[1]
+        supposed = names_of(hypothesis(kind, size), size)
+        self._count_labels(kind, labels, rule, graph[chosen], clear[chosen], supposed)
         speeds = np.stack([clips[k].speeds for k in chosen])
         return SceneBlock(
             kind=kind,
@@ -109,7 +110,7 @@ class SceneFilter:
             step_edges=NAMES[labels.types],
             rule_edges=NAMES[rule.types],
             effect=labels.effect,
-            hypothesis=np.broadcast_to(hypothesis, (len(chosen), len(hypothesis))),
+            hypothesis=np.broadcast_to(supposed, (len(chosen), len(supposed))),
             unambiguous=np.asarray(clear[chosen].all(1)),
             vehicle_type=np.array([[driver.kind for driver in clips[k].drivers] for k in chosen], object),
         )
@@ -148,7 +149,13 @@ class SceneFilter:
         return np.array(chosen, int)
 
     def _count_labels(
-        self, kind: Kind, labels: PairLabels, rule: PairLabels, graph: np.ndarray, clear: np.ndarray
+        self,
+        kind: Kind,
+        labels: PairLabels,
+        rule: PairLabels,
+        graph: np.ndarray,
+        clear: np.ndarray,
+        supposed: np.ndarray,
     ) -> None:
         tally = self.tallies[kind]
         tally.unambiguous += int(clear.all(1).sum())
@@ -156,7 +163,7 @@ class SceneFilter:
         tally.edges = tally.edges + np.bincount(graph.ravel(), minlength=K)
         if self._gold:
             tally.rule_gold = tally.rule_gold + agreement(rule.types, labels.types, K)
-        index = np.array([int(np.flatnonzero(name == NAMES)[0]) for name in names_of(HYPOTHESIS[kind])])
+        index = np.array([int(np.flatnonzero(name == NAMES)[0]) for name in supposed])
         tally.hypothesis = tally.hypothesis + agreement(np.broadcast_to(index, graph.shape), graph, K)
 
 
@@ -171,10 +178,10 @@ def violations(
 ) -> list[tuple[str, Bool[np.ndarray, " S"]]]:
     """Each rule by name, with a flag per clip that is True if the clip violates it.
 
-    `s` and `d` [S, 3, M] are positions in the road frame [m] at the M = T + 1 steps of the clips.
+    `s` and `d` [S, N, M] are positions in the road frame [m] at the M = T + 1 steps of the clips.
     """
     s, changes_lane = s[..., :-1], np.abs(np.diff(d[..., :-1])) > LANE_CHANGE
-    rear_to_front = [1, 0, 2] if kind == "merge" else [0, 1, 2]
+    rear_to_front = [1, 0, 2] if kind == "merge" else list(range(s.shape[1]))
     headway = np.diff(s[:, rear_to_front], axis=1)
     seconds = (labels.types != 0).sum((1, 2)) * DT
     lane_keepers = changes_lane[:, 1:] if kind == "merge" else changes_lane

@@ -11,15 +11,8 @@ from gri.errors import InputError
 Kind = Literal["car_following", "merge", "triple"]
 KINDS: tuple[Kind, ...] = ("car_following", "merge", "triple")
 DEFAULT_KINDS: tuple[Kind, ...] = ("car_following", "merge")
-HYPOTHESIS: dict[Kind, dict[tuple[int, int], EdgeType]] = {
-    "car_following": {(1, 0): EdgeType.FOLLOW, (2, 1): EdgeType.FOLLOW},
-    "merge": {(2, 0): EdgeType.FOLLOW, (1, 0): EdgeType.CUT_IN, (0, 1): EdgeType.YIELD},
-    "triple": {(1, 0): EdgeType.FOLLOW, (2, 1): EdgeType.FOLLOW},
-}
-"""The graph that the geometry suggests (paper, Sec. VI-C): 0 follows 1 follows 2; or 0 merges between 1 and 2.
-
-Three vehicles of a triple drive one ahead of the other, in one lane or in two. A key (i, j) says how j reacts to i.
-"""
+ANY_SIZE: tuple[Kind, ...] = ("car_following",)
+"""Kinds with as many vehicles as a group; the others have three."""
 TRIPLE_SHARES = {
     "0 follows 1, 1 follows 2": 0.30,
     "0 follows 1": 0.10,
@@ -31,6 +24,16 @@ TRIPLE_SHARES = {
 DT = 0.2  # [s], between two steps of a scene
 Rarest = Literal["cut_in", "yield", "follow", "none"]
 RAREST: tuple[Rarest, ...] = ("cut_in", "yield", "follow", "none")
+
+
+def hypothesis(kind: Kind, size: int) -> dict[tuple[int, int], EdgeType]:
+    """The graph that the geometry suggests (paper, Sec. VI-C): 0 follows 1 follows 2 ...; or 0 merges between 1 and 2.
+
+    Three vehicles of a triple drive one ahead of the other, in one lane or in two. A key (i, j) says how j reacts to i.
+    """
+    if kind == "merge":
+        return {(2, 0): EdgeType.FOLLOW, (1, 0): EdgeType.CUT_IN, (0, 1): EdgeType.YIELD}
+    return {(ahead, ahead - 1): EdgeType.FOLLOW for ahead in range(1, size)}
 
 
 class Rules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -12,7 +12,7 @@ from gri.data.ngsim.integration import integrated
 
 
 def road_positions(clips: Sequence[Clip], section: RoadSection) -> tuple[np.ndarray, np.ndarray]:
-    """[S, 3, M] Position s of the front bumper along the road, and lateral position d of the vehicle's lane [m]."""
+    """[S, N, M] Position s of the front bumper along the road, and lateral position d of the vehicle's lane [m]."""
     lane, position = (np.stack([clip.values[..., COLUMN[name]] for clip in clips]) for name in ("lane", "position"))
     xy = np.zeros((*lane.shape, 2))
     for index in np.unique(lane):

@@ -182,17 +182,18 @@ class SceneExtractor:
         """Add up to `Rules.at_once` chains of the last T steps, drawn at random; no vehicle is in two of them."""
         rules, taken, found = self.spec.rules, set(), 0
         steps = list(self.buffer.steps)[-rules.following_steps - 1 :]
-        chains = following_chains(steps, self.buffer.section.lanes, self._rejected("car_following"))
+        counts, size = self._rejected("car_following"), self.spec.scenario.group.size
+        chains = following_chains(steps, self.buffer.section.lanes, counts, size)
         for k in self._rng.permutation(len(chains)):
-            trio = chains[k]
+            chain = chains[k]
             if (
                 found == rules.at_once
-                or taken & set(trio)
-                or self.scene_filter.vehicle_limit_reached("car_following", trio)
+                or taken & set(chain)
+                or self.scene_filter.vehicle_limit_reached("car_following", chain)
             ):
                 continue
-            found, taken = found + 1, taken | set(trio)
-            self._windows.append(Window("car_following", trio, step.index - rules.following_steps))
+            found, taken = found + 1, taken | set(chain)
+            self._windows.append(Window("car_following", chain, step.index - rules.following_steps))
 
     def _find_triples(self, step: BufferedStep) -> None:
         """Add up to `Rules.triples_at_once` triples of the last T steps, drawn at random in the wanted shares."""

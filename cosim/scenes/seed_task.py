@@ -39,7 +39,7 @@ def seed_task(folder: Path, spec: SeedSpec) -> SeedStatistics:
     try:
         with (
             scratch_folder(folder) as scratch,
-            writing(folder / SCENES, Header(dt=DT)) as write,
+            writing(folder / SCENES, Header(dt=DT, vehicles=spec.scenario.group.size)) as write,
         ):
             return extract_scenes(spec, find_net(spec.scenario.net), Path(scratch), write)
     except SumoError as error:

@@ -14,6 +14,13 @@ def test_kinds_are_named_once_and_in_order():
         kinds_of(["weave"])
 
 
+def test_groups_of_other_sizes_are_chains():
+    assert kinds_of(None, 5) == ("car_following",)
+    assert kinds_of(["car_following"], 2) == ("car_following",)
+    with pytest.raises(InputError, match=r"--kind: got merge for group\.size 5, but a merge has three vehicles; set"):
+        kinds_of(["car_following", "merge"], 5)
+
+
 def test_rules_take_what_is_given():
     rules = rules_of(at_most=["follow=0.5", "cut_in=0.25"], spacing=30.0, interaction=None, reduction="longest")
     assert rules.at_most == {"follow": 0.5, "cut_in": 0.25}

@@ -197,6 +197,16 @@ def test_a_vehicle_falls_behind_the_leader_that_is_beside_it(leader, yields):
         assert found.least[0, 0] == pytest.approx(1.5)
 
 
+@pytest.mark.parametrize(("v", "held"), [(6.0, True), (1.0, False)])
+@pytest.mark.parametrize("s", [-9.0, 9.0])
+def test_a_rear_does_not_swing_into_a_vehicle_that_will_be_beside_it_soon(s, v, held):
+    """4 m behind or ahead, 1 m to the left; it is beside the vehicle within a second, or stays where it is."""
+    own, other = (1.0, v) if s < 0 else (v, 1.0)
+    found = SafetyFilter(RssFilter(), DT).limits(near((0.0, 0.0, own, 0.0), (s, 3.0, other, 0.0)), np.zeros((1, 3)))
+    assert found.turned is not None
+    assert found.turned[1][0, 0] == pytest.approx(np.arcsin(0.9 / 5.0) if held else np.pi / 2)
+
+
 @pytest.mark.parametrize("side", [1, -1])
 @pytest.mark.parametrize("steers", ["policy", "filter"])
 def test_a_rear_does_not_swing_into_a_vehicle_beside_it(side, steers):

@@ -4,6 +4,7 @@ from collections import Counter
 
 import msgspec
 import numpy as np
+import pytest
 
 from cosim.measures.relation_labels import NO_VEHICLE
 from cosim.scenes.candidates import Window, following_chains, merge_window, rows_at_every_step, triples
@@ -37,20 +38,30 @@ def test_numbers_say_flow_and_vehicle():
 def test_a_chain_keeps_its_order_and_lane_all_through():
     lane, leader = {0: 0, 1: 0, 2: 0, 3: 1}, {0: 1, 1: 2}
     counts: Counter[str] = Counter()
-    assert following_chains([buffered_step(k, lane, leader) for k in range(4)], LANES, counts) == [(0, 1, 2)]
+    assert following_chains([buffered_step(k, lane, leader) for k in range(4)], LANES, counts, 3) == [(0, 1, 2)]
     assert not counts["leader or lane changes"]
     other = buffered_step(2, lane, {0: 2, 1: 2})
     assert (
-        following_chains([buffered_step(0, lane, leader), buffered_step(1, lane, leader), other], LANES, counts) == []
+        following_chains([buffered_step(0, lane, leader), buffered_step(1, lane, leader), other], LANES, counts, 3)
+        == []
     )
     assert counts["leader or lane changes"] == 1
     over = buffered_step(1, lane | {0: 1}, leader)
-    assert following_chains([buffered_step(0, lane, leader), over], LANES, counts) == []
+    assert following_chains([buffered_step(0, lane, leader), over], LANES, counts, 3) == []
+
+
+@pytest.mark.parametrize(("size", "chains"), [(2, 4), (3, 3), (4, 2), (5, 1), (6, 0)])
+def test_chains_have_as_many_vehicles_as_wanted(size, chains):
+    """Five vehicles one behind the other; the first one ahead has no leader."""
+    lane, leader = dict.fromkeys(range(5), 0), {k: k + 1 for k in range(4)}
+    found = following_chains([buffered_step(k, lane, leader) for k in range(3)], LANES, Counter(), size)
+    assert found == [tuple(range(k, k + size)) for k in range(chains)]
 
 
 def test_a_leader_in_another_lane_makes_no_chain():
     assert (
-        following_chains([buffered_step(k, {0: 0, 1: 0, 2: 1}, {0: 1, 1: 2}) for k in range(3)], LANES, Counter()) == []
+        following_chains([buffered_step(k, {0: 0, 1: 0, 2: 1}, {0: 1, 1: 2}) for k in range(3)], LANES, Counter(), 3)
+        == []
     )
 
 

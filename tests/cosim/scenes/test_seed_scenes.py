@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 
 from cosim.measures.relation_labels import Reduction
-from cosim.scenes.scene_rules import HYPOTHESIS, TRIPLE_SHARES, Rules
+from cosim.scenes.scene_rules import TRIPLE_SHARES, Rules, hypothesis
 from cosim.scenes.seed_scenes import SeedSpec, SeedStatistics, extract_scenes
 from cosim.spec.input_files import find_net
 from cosim.spec.loading import load_scenario
@@ -27,7 +27,7 @@ def extracted(folder: Path, scenario: Scenario, **options: object) -> tuple[pd.D
     spec = SeedSpec(**{"scenario": scenario, "source": "test", "split": "train", "kinds": ("car_following", "merge"),
                    "count": 4, "gold": False, "rules": Rules()} | options)  # fmt: skip
     path = folder / "scenes.parquet"
-    with writing(path, Header(dt=0.2)) as write:
+    with writing(path, Header(dt=0.2, vehicles=scenario.group.size)) as write:
         figures = extract_scenes(spec, find_net("us101"), folder, write)
     return pd.read_parquet(path), figures
 
@@ -38,8 +38,8 @@ def scenes(tmp_path_factory) -> pd.DataFrame:
 
 
 def test_the_hypothesis_is_the_papers():
-    assert expected_graph(CarFollowing()) == HYPOTHESIS["car_following"]
-    assert expected_graph(Merge(lane="weave_0", zone=(0, 1))) == HYPOTHESIS["merge"]
+    assert expected_graph(CarFollowing()) == hypothesis("car_following", 3)
+    assert expected_graph(Merge(lane="weave_0", zone=(0, 1))) == hypothesis("merge", 3)
 
 
 def test_chains_stay_in_order_and_close(scenes):
@@ -59,6 +59,25 @@ def test_a_merge_comes_from_the_lane_beside_and_ends_between_its_partners(scenes
     assert np.abs(last["y", 0] - last["y", 2]).max() < 0.2
     first = merges[merges["step"] == 0].pivot_table(index="scene", columns="role", values="y")
     assert (np.abs(first[0] - first[2]) > 3).all()
+
+
+@pytest.mark.parametrize("size", [2, 5])
+def test_chains_of_other_sizes(tmp_path: Path, size):
+    """Vehicles follow the next one, and nobody else: so say the labels, and so does the geometry."""
+    scenario = short(group=CarFollowing(size=size))
+    found, figures = extracted(tmp_path, scenario, kinds=("car_following",), count=2)
+    assert found.groupby("scene").size().tolist() == [30 * size] * 2
+    x = found.pivot_table(index=["scene", "step"], columns="role", values="x")
+    assert x.shape[1] == size
+    assert (np.diff(x.to_numpy()) > 0).all()
+    follows = 0
+    for i in range(size):
+        edges, hypothesis = (found[name].astype(object) for name in (f"edge_from_{i}", f"hypothesis_from_{i}"))
+        assert set(found.loc[hypothesis == "follow", "role"]) == ({i - 1} if i else set())
+        assert (hypothesis[edges == "follow"] == "follow").all()
+        follows += int((edges == "follow").sum()) // 30
+    assert follows >= 1.5 * (size - 1), "of two scenes; a vehicle far behind may not react"
+    assert sum(figures.tallies["car_following"]["edges"]) == 2 * size * (size - 1)
 
 
 def test_no_vehicle_is_in_more_than_two_scenes_of_a_kind(scenes):
