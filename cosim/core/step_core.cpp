@@ -38,6 +38,7 @@ const double SLACK = 1e-6;  // [m] by which boxes are apart for sure
 const double FAR = 500.0;  // [m], cosim.loop.membership.FAR
 const double IN_SIGHT = 100.0;  // [m], cosim.loop.nearby_vehicles.REACH
 const float OWN_WIDTH = 1.8f, OWN_LENGTH = 5.0f, LOOK_AHEAD = 1.0f;  // gri.networks.next_ahead
+const float GAIN = 0.8f, FREE = 0.5f, SLOWEST = 1.0f, LATERAL_ACCELERATION = 3.0f;  // the same
 const struct { double valid, along, across, beyond; } RINGS[] = {{5.0, 150.0, 20.0, 300.0}, {1.0, 30.0, 4.0, 60.0}};
 const int FEATURES = 7;  // s, d, x, y, heading, v, a
 enum { S, D, X, Y, HEADING, V, A };
@@ -634,12 +635,25 @@ struct Core {
             for (int role = 0; role < size; ++role) add_scene(g, role, low - IN_SIGHT, high + IN_SIGHT);
         }
         const intptr_t scenes = static_cast<intptr_t>(scene_of.size());
+        if (planar) stay_in_lane();
         if (!scenes) return;
         run(follower, 2 * scenes, follower.pairs / count * scenes, 2 * scenes);
         for (intptr_t k = 0; k < scenes; ++k) {
             float& own = policy.action[scene_of[k] * policy.actions];
             const float behind = follower.action[2 * k * follower.actions];
             if (behind < own || std::isnan(behind)) own = behind;
+        }
+    }
+    void stay_in_lane() {  // FollowsNextAhead._greatest_turn
+        const float step = static_cast<float>(dt);
+        for (intptr_t k = 0; k < groups * size; ++k) {
+            const float* own = &policy.relative[k * features];
+            const float v = own[2] > SLOWEST ? own[2] : SLOWEST;
+            const float greatest = (FREE - GAIN * own[1]) / v;
+            const float turn = (greatest - (own[3] + own[5] * step)) / step, hardest = -LATERAL_ACCELERATION / v;
+            const float limit = ((turn > hardest ? turn : hardest) - own[5]) / step;
+            float& yaw = policy.action[k * policy.actions + 1];
+            if (limit < yaw) yaw = limit;
         }
     }
     void add_scene(int g, int role, double low, double high) {  // of a vehicle and the next one ahead, if there is one

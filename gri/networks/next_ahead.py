@@ -3,7 +3,8 @@
 The graph says to whom a vehicle reacts, and a policy knows nobody else. So a lag vehicle that yields to a merging one
 does not see the leader before it, and nobody sees a vehicle of the surrounding traffic. Here every vehicle also asks
 what it has learned of following: it is vehicle 0 of a scene of two, whose other vehicle is the next one ahead. The more
-careful of both answers counts along the road; across it the graph decides alone.
+careful of both answers counts along the road; across it the graph decides alone, up to the lane that a vehicle merges
+into: faster than it was taught, a policy would swing through that lane and into the one behind it.
 """
 
 import numpy as np
@@ -22,11 +23,15 @@ from gri.networks.model import RelationalModel
 from gri.networks.pair_encoder import LENGTH
 
 LOOK_AHEAD = 1.0  # [s] in which a vehicle that moves over counts as in the path, as in the safety filter
+GAIN, FREE = 0.8, 0.5  # [1/s], [m/s]: the lateral speed that is left at the centre of the target lane, and before it
+SLOWEST, LATERAL_ACCELERATION = 1.0, 3.0  # [m/s], [m/s²]
 _LOOK_AHEAD, _OWN_WIDTH, _LENGTH, _NONE = (np.float32(value) for value in (LOOK_AHEAD, OWN_WIDTH, LENGTH, np.inf))
 
 
 class FollowsNextAhead:
     """`model` under its graph, and behind the next vehicle ahead; a `Policy` that looks at the vehicles nearby.
+
+    In a merge it does not turn farther to the side of the target lane than to be slow at the centre of that lane.
 
     Positions in its states are those of front bumpers, of vehicles 5 m long (`LENGTH`).
 
@@ -47,6 +52,7 @@ class FollowsNextAhead:
         dynamics = model.dynamics
         self._planar, self._speed = "y" in dynamics.state, dynamics.speed
         self._heading = dynamics.index("heading") if self._planar else 0
+        self._lateral = [dynamics.index(name) for name in ("y", "v", "heading", "yaw_rate")] if self._planar else []
         self._in_pairs: dict[int, FewVehicles] = {}  # by the number of scenes of two
 
     @property
@@ -85,7 +91,22 @@ class FollowsNextAhead:
             behind = (in_pairs if n == in_pairs.shape[0] else self._in_scenes(n))(scenes)
             along = action.numpy().reshape(-1, action.shape[2])[:, 0]
             along[who] = np.minimum(along[who], behind[:, 0, 0])
+        if self._planar:
+            turning = action.numpy()
+            turning[..., 1] = np.minimum(turning[..., 1], self._greatest_turn(values))
         return action, memory
+
+    def _greatest_turn(self, state: Float[np.ndarray, "B N D"]) -> Float[np.ndarray, "B N"]:
+        """The greatest yaw acceleration [rad/s²] after which a vehicle stays in the lane that it merges into.
+
+        y is 0 at the centre of that lane and grows to its far side. The heading of the next step is decided already.
+        """
+        y, v, heading, yaw_rate = (state[..., k] for k in self._lateral)
+        dt, v = np.float32(self.dt), np.maximum(v, np.float32(SLOWEST))
+        greatest = (np.float32(FREE) - np.float32(GAIN) * y) / v
+        turn = (greatest - (heading + yaw_rate * dt)) / dt
+        turn = np.maximum(turn, np.float32(-LATERAL_ACCELERATION) / v)
+        return (turn - yaw_rate) / dt
 
     def few_vehicles(self, memory: PolicyState) -> tuple[FewVehicles, FewVehicles] | None:
         """What `act` computed last under the graph, as `RelationalModel.few_vehicles`, and behind who is next ahead.

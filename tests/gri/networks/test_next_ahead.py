@@ -99,9 +99,25 @@ def test_a_vehicle_of_the_surrounding_traffic_is_followed(merge):
 
 
 def test_nobody_ahead_changes_nothing(merge):
-    now = state((-20.0, -3.75, 10.0), (-10.0, 3.75, 10.0), (0.0, 0.0, 10.0))
+    now = state((-20.0, -3.75, 10.0), (-10.0, -7.5, 10.0), (0.0, 0.0, 10.0))
     given = memory(merge, MERGE)
     torch.testing.assert_close(FollowsNextAhead(merge).act(given, now)[0], merge.act(given, now)[0], rtol=0, atol=0)
+
+
+@pytest.mark.parametrize("v", [12.0, 16.0])
+def test_a_fast_vehicle_stays_in_the_lane_that_it_merges_into(merge, v):
+    """Nobody is near, and the leader far ahead. The model alone swings into the lane behind; y grows that way."""
+    farthest = {}
+    for policy in (merge, FollowsNextAhead(merge)):
+        now, given, y = state((-80.0, -3.75, v), (-160.0, 0.0, 8.0), (0.0, 0.0, v)), memory(merge, MERGE), []
+        for _ in range(50):
+            action = policy.act(given, now)[0].clone()
+            action[:, 1:] = 0.0
+            now = policy.dynamics.step(now, action, policy.dt)
+            y.append(float(now[0, 0, 1]))
+        farthest[policy is merge] = max(y)
+    assert farthest[True] > 1.2
+    assert -0.3 < farthest[False] < 0.7
 
 
 def test_it_follows_in_one_lane_too(lane):
