@@ -173,8 +173,8 @@ def test_merges_are_driven_with_the_same_bits(tmp_path):
     ("name", "rounds", "more", "roles"),
     [
         ("highway_merge", 2, ["seed=4", "group.max_gap=60"], {2}),
-        # vehicle 1, which is driven, loses its role; then nobody is behind for a while
-        pytest.param("highway_merge", 2, ["seed=6", "group.max_gap=60"], {1}, marks=pytest.mark.slow),
+        # vehicle 1, which is driven, does not let vehicle 0 in, and loses its role
+        (MERGE, 2, ["seed=3", "horizon=15", "graph={source: enforced, edges: {0->1: none, 1->0: none}}"], {1}),
         pytest.param("i80_lively", 2, ["seed=6", "horizon=20", "reinfer_s=2"], {2}, marks=pytest.mark.slow),
     ],
 )
