@@ -39,6 +39,10 @@ def scenes(
     any_change: Annotated[
         bool, typer.Option("--any-change", help="Take lane changes for any reason as merges, not only necessary ones.")
     ] = False,
+    jitter: Annotated[
+        float | None,
+        typer.Option(callback=finite, help="Greatest time of a merge's lane change from the middle of its scene [s]."),
+    ] = None,
     at_most: Annotated[
         list[str] | None,
         typer.Option(
@@ -76,7 +80,7 @@ def scenes(
     chosen = with_car_following(changed(seeded, scenario, step), car_following)
     rules = rules_of(
         strategic=not any_change, at_most=at_most or [], interaction=interaction, spacing=spacing,
-        per_vehicle=per_vehicle, reduction=reduction,
+        per_vehicle=per_vehicle, reduction=reduction, jitter=jitter,
     )  # fmt: skip
     kinds = kinds_of(kind, chosen.group.size)
     from cosim.scenes.dataset import DatasetSpec, make, remove_seeds

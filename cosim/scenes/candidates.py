@@ -9,7 +9,7 @@ import numpy as np
 
 from cosim.measures.relation_labels import NO_VEHICLE
 from cosim.scenes.lane_change_requests import SAME_LANE, LaneChangeEvent
-from cosim.scenes.scene_rules import TRIPLE_SHARES, Kind, Rules
+from cosim.scenes.scene_rules import DT, TRIPLE_SHARES, Kind, Rules
 from cosim.scenes.trajectory_buffer import BufferedStep, Lane, RoadSection
 from cosim.world.snapshot import LaneChange
 
@@ -145,10 +145,12 @@ def merge_window(
     numbers: Mapping[str, int],
     rules: Rules,
     counts: Counter[str],
+    seed: int = 0,
 ) -> Window | None:
     """The window around a lane change of the last step: the vehicle, its new follower and its new leader.
 
-    None if a rule excludes the lane change; the reason is counted in `counts`.
+    `seed` and the vehicle's number decide where in the window the lane change is, if `rules` have a jitter. None if a
+    rule excludes the lane change; the reason is counted in `counts`.
     """
     now, vehicle = steps[-1], numbers[change.vehicle]
     if vehicle not in now.row_of or (rules.strategic and not change.state & LaneChange.STRATEGIC):
@@ -156,7 +158,9 @@ def merge_window(
     present_before = 0
     while present_before < len(steps) - 1 and vehicle in steps[-2 - present_before].row_of:
         present_before += 1
-    crossing, row = min(rules.merging_steps // 2, present_before), now.row_of[vehicle]
+    most, row = round(rules.jitter / DT), now.row_of[vehicle]
+    later = int(np.random.default_rng([seed, vehicle]).integers(-most, most + 1)) if most else 0
+    crossing = min(rules.merging_steps // 2 + later, present_before)
     leader, follower = int(now.column("leader")[row]), change.new_follower
     if crossing < rules.least_before:
         counts["not seen long enough before the crossing"] += 1

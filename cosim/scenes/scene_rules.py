@@ -48,6 +48,9 @@ class Rules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
     least_before: int = 8
     """Minimum number of steps before the crossing in which vehicle 0 of a merge is on the road section; T/2 are used
     if there are as many."""
+    jitter: float = 0.0
+    """The lane change of a merge is up to this long [s] before or after the middle of its scene, drawn per vehicle.
+    With 0 a constant per step knows when it happens."""
     strategic: bool = True
     """True: a merge is a lane change that the route requires. False: lane changes for speed count, too."""
     at_once: int = 2
@@ -91,8 +94,11 @@ class Rules(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tru
         return max(map(self.steps, KINDS))
 
     def checked(self) -> "Rules":
-        """These rules, unchanged. Raises `InputError` if a share is not between 0 and 1."""
+        """These rules, unchanged. Raises `InputError` if a share is not between 0 and 1, or the jitter is too great."""
         for kind, share in self.at_most.items():
             if not 0 <= share <= 1:
                 raise InputError(f"--at-most: got {share:g} for {kind}, wanted a share from 0 to 1")
+        most = (self.merging_steps // 2 - self.least_before) * DT
+        if not 0 <= self.jitter <= most + 1e-9:
+            raise InputError(f"--jitter: got {self.jitter:g} s, wanted 0 to {most:g} s")
         return self

@@ -175,7 +175,8 @@ class SceneExtractor:
 
     def _find_merges(self, step: BufferedStep) -> None:
         steps, counts = list(self.buffer.steps), self._rejected("merge")
-        found = (merge_window(change, steps, self._numbers, self.spec.rules, counts) for change in step.changes)
+        rules, seed = self.spec.rules, self.spec.scenario.seed
+        found = (merge_window(change, steps, self._numbers, rules, counts, seed) for change in step.changes)
         self._windows += [window for window in found if window is not None]
 
     def _find_chains(self, step: BufferedStep) -> None:

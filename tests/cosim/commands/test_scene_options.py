@@ -14,6 +14,13 @@ def test_kinds_are_named_once_and_in_order():
         kinds_of(["weave"])
 
 
+@pytest.mark.parametrize("jitter", [-0.2, 2.6])
+def test_a_jitter_leaves_the_lane_change_in_the_scene(jitter):
+    assert rules_of(at_most=[], jitter=2.4).jitter == 2.4
+    with pytest.raises(InputError, match=r"--jitter: got .* s, wanted 0 to 2\.4 s"):
+        rules_of(at_most=[], jitter=jitter)
+
+
 def test_groups_of_other_sizes_are_chains():
     assert kinds_of(None, 5) == ("car_following",)
     assert kinds_of(["car_following"], 2) == ("car_following",)

@@ -125,6 +125,19 @@ def test_a_merge_is_cut_so_that_it_happens_in_the_middle():
     assert merge(before(30))[0] == Window("merge", (0, 1, 2), 10)
 
 
+def test_a_jitter_moves_the_lane_change_within_the_window():
+    rules, begins = Rules(jitter=2.4), set()
+    for seed in range(40):
+        change = LaneChangeEvent("a.0", 0, 1, STRATEGIC, "a.1")
+        window = merge_window(change, before(40), VehicleNumbers(["a"]), rules, Counter(), seed)
+        assert window == merge_window(change, before(40), VehicleNumbers(["a"]), rules, Counter(), seed)
+        assert window is not None
+        begins.add(window.begin)
+    assert len(begins) > 15
+    assert 8 <= min(begins) < 14
+    assert 26 < max(begins) <= 32, "at least 8 steps are before the lane change"
+
+
 def test_the_window_of_a_late_vehicle_begins_when_it_appears():
     assert merge(before(12))[0] == Window("merge", (0, 1, 2), 0)
     found, counts = merge(before(5))
