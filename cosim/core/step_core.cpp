@@ -901,7 +901,7 @@ struct Core {
                 speeds.push_back(one->present ? Api::getSpeed(one->id) : std::numeric_limits<double>::quiet_NaN());
             bool quiet = nothing_reported && apart();
             if (judging) quiet = quiet && complete() && on_lanes() && goes_on() && (!merge || none_merged());
-            if (!quiet || k == most - 1) record_lanes();
+            if (judging && (!quiet || k == most - 1)) record_lanes();
             if (!quiet) return JUDGE;
             if (driving) observe();
         }

@@ -64,13 +64,16 @@ class Drift:
 
     def at(self, time: float) -> float:
         """The lateral position [m] `time` [s] after the start."""
-        u = min(time / self.duration, 1.0)
+        duration = self.duration
+        u = min(time / duration, 1.0)
         way = 1 - 10 * u**3 + 15 * u**4 - 6 * u**5
-        return self.offset * way + self.rate * self.duration * (u - 6 * u**3 + 8 * u**4 - 3 * u**5)
+        return self.offset * way + self.rate * duration * (u - 6 * u**3 + 8 * u**4 - 3 * u**5)
 
     def range_from(self, time: float) -> tuple[float, float]:
         """The rightmost and the leftmost lateral position [m] from `time` [s] on."""
         left = max(self.duration - time, 0.0)
+        if not left:
+            return self.at(time), self.at(time)
         places = [self.at(time + left * k / PLACES) for k in range(PLACES + 1)]
         return min(places), max(places)
 

@@ -308,15 +308,14 @@ def _read(
     """The vehicles near to the given ones, and those to record: if the round records its surroundings, all within REACH
     of the `places` [m] of each group, and some more.
     """
-
-    def spans() -> Float[np.ndarray, "G 2"]:
-        s = places()
-        return np.stack([s.min(axis=1) - REACH, s.max(axis=1) + REACH], axis=1)
-
     if this_round.records_surroundings:
-        return world.near_and_recorded(road, vehicles, spans)
+        return world.near_and_recorded(road, vehicles, lambda: _spans(places()))
     now = world.snapshot(road, vehicles)
     return now, now
+
+
+def _spans(s: Float[np.ndarray, "G N"]) -> Float[np.ndarray, "G 2"]:
+    return np.stack([s.min(axis=1) - REACH, s.max(axis=1) + REACH], axis=1)
 
 
 def roles_by_id(group: Group) -> dict[str, str]:

@@ -5,6 +5,7 @@ driver would stop it within a step or two, or remove it. All other vehicles retu
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -83,8 +84,10 @@ class ReturningVehicles:
             for vehicle in [vehicle for vehicle in vehicles if vehicle not in now.row_of]:
                 del vehicles[vehicle]
                 world.remove_shadow(vehicle)
-        for vehicle, state in [*self._returns.items()]:
-            self._guide(world, road, vehicle, state, now)
+        returns = [*self._returns.items()]
+        ways = _in_way_of_drifts(now, [now.row_of[vehicle] for vehicle, _ in returns], [of for _, of in returns])
+        for (vehicle, state), in_way in zip(returns, ways, strict=True):
+            self._guide(world, road, vehicle, state, now, in_way)
         for vehicle, stop in self._stops.items():
             self._stops[vehicle] = stop = stop.after(self.dt)
             lane = self._show(world, road, vehicle, (stop.s, stop.d, stop.heading, stop.v), now)
@@ -93,8 +96,13 @@ class ReturningVehicles:
                 vehicle, float(xy[0, 0]), float(xy[0, 1]), float(along[0]) + road.side * stop.heading, stop.v, lane
             )
 
-    def _guide(self, world: Sumo, road: RoadFrame, vehicle: str, state: Return, now: Snapshot) -> None:
-        """Command one returning vehicle, or release it where SUMO's driver has its own headway again."""
+    def _guide(
+        self, world: Sumo, road: RoadFrame, vehicle: str, state: Return, now: Snapshot, in_way: int | None
+    ) -> None:
+        """Command one returning vehicle, or release it where SUMO's driver has its own headway again.
+
+        `in_way` is the row of the vehicle of `_in_way_of_drifts`.
+        """
         row, dt, drivers = now.row_of[vehicle], self.dt, world.drivers
         s, d, v = (float(of[row]) for of in (now.s, now.d, now.v))
         headway, time = plan.relaxed(state.headway, state.own, dt), state.time + dt
@@ -112,7 +120,10 @@ class ReturningVehicles:
             end = Ahead(drivers.way_in_lane(vehicle), 0.0, 0.0)
             for_the_end = plan.wanted_acceleration(v, limit, state.acceleration, Headway(0.0, CLEARANCE), end)
             wanted, required = min(wanted, for_the_end), max(required, required_braking(v, end))
-        beside = _in_way_of_drift(now, row, state.drift, state.time, leader)  # SUMO's driver does not see it
+        beside = None
+        if in_way is not None and now.ids[in_way] != leader:  # SUMO's driver does not see it
+            gap_beside = float(now.s[in_way] - now.length[in_way] - now.s[row])
+            beside = Ahead(gap_beside, float(now.v[in_way]), float(now.a[in_way]))
         if beside is not None and beside.gap > TOUCHING:
             for_it = plan.wanted_acceleration(v, limit, state.acceleration, found(headway, v, beside), beside)
             wanted, required = min(wanted, for_it), max(required, required_braking(v, beside))
@@ -143,21 +154,24 @@ class ReturningVehicles:
         return shadow_vehicles.place(world, road, vehicle, pose, self.lanes, now, self.dt, announcing=False)
 
 
-def _in_way_of_drift(now: Snapshot, row: int, drift: Drift, time: float, leader: str) -> Ahead | None:
-    """The nearest vehicle ahead in another lane into which a returning vehicle reaches from `time` [s] of its drift on.
+def _in_way_of_drifts(now: Snapshot, rows: Sequence[int], returns: Sequence[Return]) -> list[int | None]:
+    """The row of the nearest vehicle ahead in another lane into which each returning vehicle reaches from now on.
 
-    The gap to one that is beside it is negative. None where it is the `leader`, too.
+    `rows` are those of the returning vehicles. One that is beside it counts as ahead where its front is.
     """
-    rightmost, leftmost = drift.range_from(time)
-    centre, apart = now.d[row] - drift.at(time), 0.5 * (now.width + now.width[row])
-    reached = (now.d > centre + rightmost - apart) & (now.d < centre + leftmost + apart)
-    elsewhere = np.abs(now.d - centre) > 0.5 * now.width[row]
-    gap = now.s - now.length - now.s[row]
-    ahead = np.flatnonzero(reached & elsewhere & (now.s > now.s[row]) & (gap < LOOK_AHEAD))
-    nearest = int(ahead[gap[ahead].argmin()]) if len(ahead) else row
-    if nearest == row or now.ids[nearest] == leader:
-        return None
-    return Ahead(float(gap[nearest]), float(now.v[nearest]), float(now.a[nearest]))
+    if not rows:
+        return []
+    rightmost, leftmost = np.array([of.drift.range_from(of.time) for of in returns]).T[:, :, None]
+    own = now.d[rows, None] - np.array([of.drift.at(of.time) for of in returns])[:, None]  # of the centre of its lane
+    apart = 0.5 * (now.width + now.width[rows, None])
+    reached = (now.d > own + rightmost - apart) & (now.d < own + leftmost + apart)
+    reached &= np.abs(now.d - own) > 0.5 * now.width[rows, None]  # elsewhere
+    reached &= now.s > now.s[rows, None]
+    if not reached.any():
+        return [None] * len(rows)
+    gap = now.s - now.length - now.s[rows, None]
+    gap[~reached | (gap >= LOOK_AHEAD)] = np.inf
+    return [row if least < np.inf else None for row, least in zip(gap.argmin(1).tolist(), gap.min(1), strict=True)]
 
 
 def stop_of(now: Snapshot, road: RoadFrame, vehicle: str, a: float, braking: float) -> Stop:

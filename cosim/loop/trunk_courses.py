@@ -12,7 +12,7 @@ from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 
 from cosim.loop.branches import Branch, BranchResult, SumoCounts, drive_branch, forked, replayed
-from cosim.loop.driving import Driver, start_round
+from cosim.loop.driving import Driver, RoundStart, start_round
 from cosim.loop.intervention import Intervention, NoIntervention
 from cosim.loop.round_recorder import Round
 from cosim.loop.trunk import TakeOver, Trunk
@@ -26,6 +26,7 @@ from cosim.world.backlog import Backlog
 from cosim.world.episode import Episode
 from cosim.world.group_search import GroupSearch
 from cosim.world.groups import Group
+from cosim.world.safety import safety_measures
 from gri.errors import InputError
 
 
@@ -101,6 +102,14 @@ class _Drive:
 
     scenario: Scenario
     intervention: Intervention | NoIntervention
+    speeds: SpeedRecord
+
+
+@dataclass(frozen=True)
+class _Start:
+    """A round that is ready to be driven, and the speeds of the vehicles ahead."""
+
+    start: RoundStart
     speeds: SpeedRecord
 
 
@@ -192,23 +201,31 @@ def share_trunk(
     def handler_at(now: TakeOver | None, before: int) -> Handler:
         """Answers at a take-over, or at the end of the warm-up; `before` groups have been left to SUMO."""
 
-        def handle(question: _Drive | tuple[Group, ...]) -> tuple[object, Handler | None]:
+        def started(question: _Drive | tuple[Group, ...]) -> _Start | tuple[Group, ...]:
+            """A drive with its start, for which the world is not changed."""
+            if not isinstance(question, _Drive):
+                return question
+            assert now is not None
+            driver = driver_of(question.scenario)
+            return _Start(start_round(warm.running.frame, now.history, question.intervention, driver), question.speeds)
+
+        def handle(question: _Drive | _Start | tuple[Group, ...]) -> tuple[object, Handler | None]:
             with messages() as said:
-                if isinstance(question, _Drive):
-                    assert now is not None
-                    driver = driver_of(question.scenario)
-                    start = start_round(warm.running.frame, now.history, question.intervention, driver)
-                    driven = drive_branch(warm.running, start, question.speeds)
+                if isinstance(question, _Drive):  # it could not be prepared: here the error is told
+                    question = started(question)
+                if isinstance(question, _Start):
+                    driven = drive_branch(warm.running, question.start, question.speeds)
                 else:
                     episodes, speeds = ([], SpeedRecord(())) if now is None else _leave(trunk, now, question)
                     behind = before + len(question)
                     following = trunk.next_take_over(behind, warm.inputs.end, lambda *_: None)
-            if isinstance(question, _Drive):
+            if isinstance(question, _Start):
                 return (driven, b"".join(said)), None
+            episodes = [replace(episode, safety=safety_measures(episode)) for episode in episodes]
             shown = None if following is None else replace(following, history=following.history[-1:])
             answer = _Left(episodes, speeds, shown, _end_of(trunk, warm.running), b"".join(said))
             return answer, None if following is None or not may_wait() else handler_at(following, behind)
 
-        return handle
+        return Handler(handle, started)
 
     return freeze(handler_at(None, 0))

@@ -1,5 +1,6 @@
 """A process in which what several tasks share has been prepared; each of them is done in a copy of it."""
 
+import gc
 import os
 import signal
 from collections.abc import Sequence
@@ -57,6 +58,7 @@ def _serve(preparation: Preparation, pipe: Connection) -> None:
     """The process: one task after the other until the other end of the pipe is closed."""
     try:
         with function_named(preparation.function)(*preparation.arguments) as value:
+            gc.freeze()  # what there is now need not be looked through again, and copied for that, in every copy
             while True:
                 task: Task = pipe.recv()
                 pipe.send(_answer(task, value, pipe))

@@ -112,8 +112,11 @@ def _messages(log: tuple[int, int]) -> Iterator[list[bytes]]:
 
 def _shared_trunk(traffic: WarmTraffic, policies: Sequence[Scenario], log: tuple[int, int]) -> "FrozenProcess":
     """The process at which the trunk of all these runs begins; policies are loaded once, where that succeeds."""
+    import pyarrow.parquet  # noqa: F401  # and what each run would import for itself otherwise
     import torch
 
+    import cosim.runs.run_writing
+    import cosim.runs.traffic_effects  # noqa: F401
     from cosim.loop.trunk_courses import share_trunk
     from cosim.runs.policy_loading import driver_of
 

@@ -1,5 +1,6 @@
 """Episode: the frozen result of driving one group in one closed-loop run, with its ending and events."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import StrEnum
 from itertools import pairwise
@@ -151,7 +152,8 @@ class Episode:
     (`cosim.world.break_ups.compared`). `surroundings` are the vehicles around the group from the
     take-over to AFTERMATH after the hand-back. `filter_use` is missing without a safety filter. `role_changes` are
     those of a group that others joined, in the order of time. Then `state` is that of whoever has a role, while
-    `length` and `width` stay those of the take-over.
+    `length` and `width` stay those of the take-over. `safety` are the measures of `cosim.world.safety`, where several
+    runs share the episode and they have been computed for all.
     """
 
     driver: str
@@ -176,6 +178,7 @@ class Episode:
     surroundings: Surroundings | None = None
     filter_use: FilterUse | None = None
     role_changes: tuple[RoleChange, ...] = ()
+    safety: Mapping[str, float] | None = None
 
     @property
     def members(self) -> list[tuple[str, ...]]:

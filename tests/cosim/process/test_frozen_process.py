@@ -21,6 +21,10 @@ def counting_from(steps: int) -> Handler:
         match question:
             case "state":
                 return (steps, os.getpid()), None
+            case "state", process:
+                return (process, os.getpid()), None
+            case "fails to prepare":
+                return "as it is", None
             case "large":
                 return "x" * 5_000_000, None
             case "fails":
@@ -31,7 +35,15 @@ def counting_from(steps: int) -> Handler:
                 time.sleep(60)
         return None, None
 
-    return handle
+    def prepare(question):
+        match question:
+            case "prepared":
+                return "state", os.getpid()
+            case "fails to prepare":
+                raise ValueError
+        return question
+
+    return Handler(handle, prepare)
 
 
 @pytest.fixture
@@ -44,6 +56,14 @@ def test_each_question_is_answered_in_a_copy_of_the_waiting_process(root):
     (second, other), _ = root.ask("state")
     assert (first, second) == (0, 0)
     assert len({one, other, os.getpid()}) == 3
+
+
+def test_a_question_is_prepared_in_the_waiting_process(root):
+    (process, copy), _ = root.ask("prepared")
+    (again, other), _ = root.ask("prepared")
+    assert process == again
+    assert len({process, copy, other, os.getpid()}) == 4
+    assert root.ask("fails to prepare")[0] == "as it is"
 
 
 def test_a_state_is_reached_once_and_can_be_asked_later(root):
