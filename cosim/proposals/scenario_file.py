@@ -97,7 +97,7 @@ def scenario_text(configuration: str, road: MainRoad, use: NetUse, choice: Choic
         else f"{{rule: merge, lane: {_scalar(lane.lane)}, zone: [{choice.zone[0]}, {choice.zone[1]}]{gap},"
         f" newcomers: join}}  # the lane ends; from s = {lane.begin:g} to {lane.end:g} m"
     )
-    sees = "" if lane is None else ", sees: everybody"
+    sees, predictor = ("", "") if lane is None else (", sees: everybody", "predictor: constant_acceleration\n")
     edges, origin = ", ".join(map(_scalar, road.edges)), _scalar(road.edges[0])
     return f"""# Proposed by `cosim new {Path(configuration).name}`. Mean speed on the main road {speed:.1f} m/s.
 # road: s = 0 is where `origin` begins. group: gaps and s in m. warm_up: until the number of vehicles has settled.
@@ -106,7 +106,7 @@ road: {{edges: [{edges}], origin: {origin}, length: {int(road.length - MARGIN)}}
 traffic: {{sumocfg: {_scalar(configuration)}, warm_up: {warm_up(use, demand):g}}}
 group: {group}
 policy: {{kind: gri, checkpoint: {MODELS[choice.rule]}{sees}}}
-horizon: {choice.horizon:g}  # [s] that a group is driven for, at most
+{predictor}horizon: {choice.horizon:g}  # [s] that a group is driven for, at most
 groups_at_once: {6 if lane is None else 2}
 episodes: 10
 time_limit: 900  # [s] after the warm-up
