@@ -645,7 +645,7 @@ struct Core {
         }
     }
     void stay_in_lane() {  // FollowsNextAhead._greatest_turn
-        const float step = static_cast<float>(dt);
+        const float step = static_cast<float>(every * dt);  // between two actions
         for (intptr_t k = 0; k < groups * size; ++k) {
             const float* own = &policy.relative[k * features];
             const float v = own[2] > SLOWEST ? own[2] : SLOWEST;

@@ -1,11 +1,13 @@
 """Batches as a person runs them: results, continuing, changing the file, and faults from outside."""
 
 import json
+import os
 import signal
 import subprocess
 import sys
 import time
 from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 
 import pandas as pd
@@ -180,6 +182,73 @@ def test_ctrl_c_costs_what_is_under_way_and_no_more(short):
     again = cosim("batch", "many.yaml", "--workers", "2", "--out", "many", cwd=short)
     assert "30 of 30 finished" in again.stdout
     assert Counter(entry["run"] for entry in log(short / "many")).most_common(1)[0][1] == 1, "none was done twice"
+
+
+TRUNKS = (
+    SHORT.replace("[1, 2]", "[1]").replace("episodes: 2", "episodes: 5\n  groups_at_once: 2")
+    + "perturbations:\n  close: {kind: headway_ratio, intensities: [0.9]}\n"
+).replace("  idm: {kind: idm}\n", "  idm: {kind: idm}\n  still: {kind: constant_velocity}\n")
+
+
+def below(process: int) -> dict[int, int]:
+    """The processes that a process has started, and those started by these, and so on; by id, how far below it."""
+    children: dict[int, list[int]] = {}
+    for place in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            state, parent = place.read_text().rpartition(")")[2].split()[:2]
+            if state != "Z":
+                children.setdefault(int(parent), []).append(int(place.parent.name))
+    found, level, depth = {}, children.get(process, []), 1
+    while level:
+        found |= dict.fromkeys(level, depth)
+        level, depth = [child for one in level for child in children.get(one, [])], depth + 1
+    return found
+
+
+def wait_for(condition, seconds: float = 120.0) -> None:
+    until = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < until, "waited in vain"
+        time.sleep(0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/stat").is_file(), reason="looks for processes where Linux lists them")
+def test_a_batch_that_is_killed_while_trunks_wait_goes_on_with_the_same_bytes(tmp_path):
+    """At first the whole command is killed, then the trunks of the one that goes on, which costs no run."""
+    (tmp_path / "trunks.yaml").write_text(TRUNKS)
+    assert cosim("batch", "trunks.yaml", "--workers", "1", "--out", "whole", cwd=tmp_path).returncode == 0
+    folder = tmp_path / "killed"
+
+    def finished() -> int:
+        return len(list(folder.glob("runs/r???????????")))
+
+    def trunks(process: subprocess.Popen[str], runs: int) -> list[int]:
+        """The processes that wait from one run to the next, when so many runs are finished."""
+        wait_for(lambda: finished() >= runs - 1)
+        before = below(process.pid)
+        wait_for(lambda: finished() >= runs)
+        found = [one for one in below(process.pid) if before.get(one, 0) > 2]  # below the process of the warm-up
+        assert len(found) > 1, "one at the end of the warm-up, and one at each take-over"
+        return found
+
+    command = "trunks.yaml", "--workers", "1", "--out", "killed"
+    with started(tmp_path, *command) as process:
+        trunks(process, 2)
+        left = below(process.pid)
+        process.kill()
+        process.communicate()
+    wait_for(lambda: not any(Path(f"/proc/{one}").exists() for one in left))
+    assert 2 <= finished() < 5
+    with started(tmp_path, *command) as process:
+        for one in trunks(process, finished() + 2):
+            with suppress(ProcessLookupError):
+                os.kill(one, signal.SIGKILL)
+        said, errors = process.communicate(timeout=120)
+    assert "6 of 6 finished, 0 failed" in said, errors
+    assert tables(folder) == tables(tmp_path / "whole")
+    assert not list(folder.glob("runs/*.partial"))
+    assert Counter(entry["run"] for entry in log(folder) if entry["ended"] == "done").most_common(1)[0][1] == 1
 
 
 @pytest.mark.usefixtures("forked_workers")
