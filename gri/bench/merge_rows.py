@@ -1,6 +1,6 @@
 """The rows of the benchmark of merges. A row turns scenes into probabilities per step and one graph per scene."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
@@ -13,12 +13,15 @@ from gri.bench.merge_encoder import per_step, teach_encoder
 from gri.bench.merge_scenes import MergeScenes
 from gri.core.edges import LANE_CHANGING
 from gri.data.recorded import with_vehicle_length
-from gri.relations.broken_merges import Y
+from gri.inference.step_relations import released_merge_constants
+from gri.networks.encoder import Encoder
+from gri.relations.broken_merges import X, Y
 from gri.relations.merge_explanations import ALL_TERMS, CONSTANTS, Terms
-from gri.relations.merge_motion import NOMINAL_LENGTH
+from gri.relations.merge_motion import NOMINAL_LENGTH, motion_of
 from gri.relations.merge_posterior import learn_constants, relations, scene_graphs
 
 LEARNING_UPDATES, LEARNING_SCENES = 60, 90
+FEWEST = 3  # states that the posterior needs
 
 
 @dataclass(frozen=True)
@@ -162,6 +165,45 @@ def _released(name: str) -> Prepare:
     return prepare
 
 
+def _released_encoder(name: str) -> Prepare:
+    """The relations of each step, as a released encoder infers them from up to 5 s before it."""
+
+    def prepare(train: Training, seed: int) -> Infer:
+        del train, seed
+        model, constants = checkpoint.load(name), released_merge_constants()
+        assert model.config.vocabulary == LANE_CHANGING, f"{name} has other relations"
+        assert isinstance(model.encoder, Encoder)
+        encoder = model.encoder
+
+        def infer(scenes: MergeScenes) -> Inferred:
+            seen = as_the_models_see(scenes)
+            seen[..., X] -= seen[:, -1:, :1, X]  # from the leader's first position, where float32 is finest
+            steps = per_step(encoder, seen)
+            return Inferred(steps, scene_graphs(steps, scenes.motion(), constants))
+
+        return infer
+
+    return prepare
+
+
+def _online(train: Training, seed: int) -> Infer:
+    """What the posterior says about each step when it has seen nothing later."""
+    constants = train.constants(seed)
+
+    def infer(scenes: MergeScenes) -> Inferred:
+        steps = torch.stack([_last(scenes, constants, step) for step in range(scenes.state.shape[2])], 1)
+        return Inferred(steps, scene_graphs(steps, scenes.motion(), constants))
+
+    return infer
+
+
+def _last(scenes: MergeScenes, constants: Mapping[str, float], step: int) -> Float[Tensor, "S E K"]:
+    """The posterior of a step from the states up to it; in the first two steps, from the first three states."""
+    seen = scenes.state[:, :, : max(step + 1, FEWEST)]
+    motion = motion_of(seen, scenes.lane_width, scenes.dt, scenes.length, unfinished=True)
+    return relations(motion, constants, unfinished=True)[:, min(step, seen.shape[2] - 1)]
+
+
 def as_the_models_see(scenes: MergeScenes) -> Float[Tensor, "S 3 T D"]:
     """States as released models expect them: y from the leader's lane, every vehicle 5 m long, net gaps kept."""
     state = scenes.state.clone()
@@ -182,7 +224,9 @@ ROWS: tuple[Row, ...] = (
     Row("released: us101_merge", "no labels", _released("us101_merge")),
     Row("released: mixed_merge", "labels (SUMO's)", _released("mixed_merge")),
     Row(POSTERIOR, "no labels", _posterior(), varies=True),
+    Row(f"{POSTERIOR}, online", "no labels", _online, varies=True),
     Row("encoder taught by the posterior, 5 s of history", "no labels", _encoder),
+    Row("released: merge_relations", "no labels; merges of both sites", _released_encoder("merge_relations")),
     Row("labelled, whole scene (ceiling)", "labels", _taught(5), varies=True),
     _without("one-sided binding", Terms(one_sided=False)),
     _without("unknown headways and gaps", Terms(latent_driver=False)),

@@ -13,7 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from gri.bench.answers import Infer, Score, observed
-from gri.bench.car_following_scenes import KnownScenes
+from gri.bench.car_following_scenes import DT, KnownScenes
 from gri.bench.driver_models import DRIVER_MODELS
 from gri.bench.families import NEAR, WIDE, split
 from gri.bench.learned_driver import learn_driver
@@ -30,6 +30,9 @@ from gri.bench.rows import (
 )
 from gri.bench.speed_gaussian import fit_gaussians
 from gri.core.edges import pairs
+from gri.networks.pair_encoder import PairEncoder
+from gri.training.relations.recorded_windows import ContrastSettings, contrast_windows
+from gri.training.relations.teach_recorded import teach_recorded_encoder
 
 UPDATES, BATCH = 400, 64  # of the taught networks
 TAUGHT_KINDS = (
@@ -50,6 +53,8 @@ RELEASED = tuple(
     f"released: {name}"
     for name in ("us101_car_following", "ngsim_car_following", "ngsim_relations", "sumo_car_following")
 )
+
+ANEW = "ngsim_relations, taught anew in each fold"
 
 
 @dataclass(frozen=True)
@@ -138,6 +143,29 @@ def _contrastive_all(recordings: Recordings, window: str, fold: int, seed: int) 
     return train_classifier([as_scenes(windows)], lambda state: state, seed, UPDATES, BATCH)
 
 
+def _as_released(recordings: Recordings, window: str, fold: int, seed: int) -> Infer:
+    """An encoder that is taught as that of `ngsim_relations`, on the training part of a fold; one for all windows."""
+    del window
+    key = "ngsim_relations", fold, seed
+    if key not in recordings.taught:
+        recordings.taught[key] = _taught_encoder(recordings, fold, seed)
+    encoder = recordings.taught[key]
+
+    @torch.no_grad()
+    def infer(scenes: KnownScenes) -> Float[Tensor, "S E"]:
+        p = encoder.explanations(observed(scenes)[..., :2].float())[..., 2:].double()
+        return torch.stack([p[:, j, i] for i, j in pairs(p.shape[1])], 1)
+
+    return infer
+
+
+def _taught_encoder(recordings: Recordings, fold: int, seed: int) -> PairEncoder:
+    settings = ContrastSettings()
+    encoder = PairEncoder(settings.encoder, speed=1, dt=DT)
+    teach_recorded_encoder(encoder, contrast_windows(recordings.sites, settings, fold=fold), settings, seed)
+    return encoder.requires_grad_(False).eval()
+
+
 def _rows() -> Sequence[RecordedRow]:
     known = {row.name: row for row in ROWS}
     strangers = "recorded pairs and strangers"
@@ -148,6 +176,7 @@ def _rows() -> Sequence[RecordedRow]:
         RecordedRow("Granger test", f"{strangers} (threshold)", _scored(granger)),
         RecordedRow("geometry of the last frame", strangers, _last_frame, varies=True),
         *(from_simulation(known[name], "ngsim" in name) for name in RELEASED),
+        RecordedRow(ANEW, "recorded and broken pairs and triples, 6 and 12 s", _as_released, varies=True),
         from_simulation(known["closed form"]),
         RecordedRow("closed form, weights from recordings", strangers, _closed_form, varies=True),
         from_simulation(known["labelled classifier (ceiling)"]),

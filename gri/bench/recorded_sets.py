@@ -14,6 +14,7 @@ from jaxtyping import Int
 from gri.bench.car_following_scenes import KnownScenes
 from gri.data.ngsim.following_triples import Site, recorded_following
 from gri.data.ngsim.following_windows import FollowingWindows, joined
+from gri.networks.pair_encoder import PairEncoder
 
 FOLDS = 5
 STRIDE = {"test": 10, "train": 5}  # steps from one window of the same vehicles to the next
@@ -49,6 +50,8 @@ class Recordings:
     """All sites of the files, and the windows made of them so far."""
 
     sites: tuple[Site, ...]
+    taught: dict[tuple[object, ...], PairEncoder] = field(default_factory=dict)
+    """Encoders that rows keep from one window length to the next."""
     _made: dict[tuple[object, ...], Mapping[str, FollowingWindows]] = field(default_factory=dict)
 
     def windows(

@@ -132,7 +132,10 @@ def teach(
     scenes: ScenesOption = SCENES,
     recordings: Annotated[
         list[Path] | None,
-        typer.Option(help="NGSIM files for contrastive teaching besides the drawn scenes; repeat for more."),
+        typer.Option(
+            help="NGSIM files: the encoder learns from their windows against windows broken on purpose, instead of from"
+            " drawn scenes; repeat for more."
+        ),
     ] = None,
     merges: Annotated[
         list[Path] | None,
@@ -142,7 +145,10 @@ def teach(
         ),
     ] = None,
     updates: Annotated[
-        int | None, typer.Option(min=1, help="Updates of the encoder; default: 12,000, with --merges 3,500.")
+        int | None,
+        typer.Option(
+            min=1, help="Updates of the encoder; default: 12,000, with --recordings 800 of each member, --merges 3,500."
+        ),
     ] = None,
 ) -> None:
     """Teach a model's encoder who reacts to whom.
@@ -162,8 +168,10 @@ def teach(
             if recordings:
                 raise InputError("got --merges and --recordings, wanted one of them; merges are for merge models")
             taught, how, state = _taught_merges(path, model, config, merges, seed, updates, kept)
+        elif recordings:
+            taught, how, state = _taught_recorded(model, recordings, seed, updates, kept)
         else:
-            taught, how, state = _taught_following(path, model, config, recordings or (), seed, updates, scenes, kept)
+            taught, how, state = _taught_following(path, model, config, seed, updates, scenes, kept)
         checkpoint.save(out, taught, checkpoint.load_reward(path), {**made, "teaching": how})
         state.finish()
     say(f"taught in {how['cpu_seconds']} s of CPU, wrote {out}")
@@ -174,7 +182,6 @@ def _taught_following(
     path: Path,
     model: "RelationalModel",
     config: "TrainConfig",
-    recordings: Sequence[Path],
     seed: int,
     updates: int | None,
     scenes: Path,
@@ -186,18 +193,29 @@ def _taught_following(
     from gri.training.training_state import TrainingState
 
     settings = TeachingSettings() if updates is None else TeachingSettings(updates=updates)
-    windows, steps = None, model.history_steps
-    if recordings:
-        from gri.training.relations.recorded_windows import recorded_windows
-
-        windows, known = recorded_windows(recordings, steps)
-    elif config.data.recorded is None:
-        known = _scenes(config, scenes).train.observed[:, :, :steps]
-    else:
+    if config.data.recorded is not None:
         raise InputError(f"{path}: got no recordings, wanted those that it learned from; give them with --recordings")
-    identity = teaching_identity(model, known, settings, seed, windows)
+    known = _scenes(config, scenes).train.observed[:, :, : model.history_steps]
+    identity = teaching_identity(model, known, settings, seed)
     with resumable(TrainingState(kept, identity)) as state, ProgressDisplay() as progress:
-        return *teach_model(model, known, settings, seed, windows, progress, state), state
+        return *teach_model(model, known, settings, seed, progress, state), state
+
+
+def _taught_recorded(
+    model: "RelationalModel", recordings: Sequence[Path], seed: int, updates: int | None, kept: Path
+) -> "tuple[RelationalModel, Mapping[str, Any], TrainingState]":
+    """A car-following model with an encoder that was taught on recordings, and as above."""
+    from gri.data.ngsim.following_triples import read_sites
+    from gri.training.relations.recorded_windows import ContrastSettings, contrast_windows
+    from gri.training.relations.teach_recorded import recorded_teaching_identity, teach_recorded_model
+    from gri.training.training_state import TrainingState
+
+    settings = ContrastSettings() if updates is None else ContrastSettings(updates=updates)
+    with ProgressDisplay() as progress:
+        windows = contrast_windows(read_sites(recordings, progress=progress), settings)
+    identity = recorded_teaching_identity(model, windows, settings, seed)
+    with resumable(TrainingState(kept, identity)) as state, ProgressDisplay() as progress:
+        return *teach_recorded_model(model, windows, settings, seed, progress, state), state
 
 
 def _taught_merges(

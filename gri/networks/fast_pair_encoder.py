@@ -11,7 +11,7 @@ from torch import Tensor, nn
 from torch.nn.functional import pad
 
 from gri.networks.fast_reaction_evidence import reaction_evidence
-from gri.networks.pair_encoder import PairEncoder, PairMotion, Pairs, pair_motion, pair_series, pair_statistics
+from gri.networks.pair_encoder import PairEncoder, PairMotion, Pairs, pair_motion
 
 AT_ONCE = 512  # pairs that are embedded together, so that they stay in the cache
 
@@ -31,35 +31,46 @@ def explain_pairs(
         own speed and unseen leader, for each vehicle; and "the receiver reacts to the sender", for each pair. It is 0
         for senders that are not ahead at the last instant. They add up to 1 for each vehicle.
     """
-    dtype, width = next(encoder.parameters()).dtype, encoder.config.hidden
+    dtype = next(encoder.parameters()).dtype
     ahead = x[pairs[:, 0], -1] > x[pairs[:, 1], -1]
     sender, receiver = pairs[ahead].unbind(1)
     which = Pairs(torch.zeros_like(sender), receiver, sender)
     motion = PairMotion(*(series.to(dtype) for series in pair_motion(x[None], v[None], which, encoder.dt)))
+    found = [_shares(member, motion, receiver, len(x)) for member in encoder.members]
+    if len(found) == 1:
+        nulls, score = found[0]
+    else:  # the mean of the members' log probabilities
+        logs = [torch.stack(part).clamp(min=1e-30).log().mean(0) for part in zip(*found, strict=True)]
+        nulls, score = (part.exp() for part in logs)
+        total = nulls.sum(1).index_add(0, receiver, score)
+        nulls, score = nulls / total[:, None], score / total[receiver]
+    return nulls, score.new_zeros(len(pairs)).masked_scatter(ahead, score)
+
+
+def _shares(
+    encoder: PairEncoder, motion: PairMotion, receiver: Int[Tensor, " E"], vehicles: int
+) -> tuple[Float[Tensor, "V 2"], Float[Tensor, " E"]]:
+    """Probabilities of both nulls of each vehicle, and of each pair with the sender ahead, by one network alone."""
+    dtype, width = motion.gap.dtype, encoder.config.hidden
     parts = zip(*(series.split(AT_ONCE) for series in motion), strict=True)
     embedded = torch.cat(
         [_embed(encoder, PairMotion(*part)) for part in parts if len(part[0])] or [torch.zeros(0, width, dtype=dtype)]
     )
-    context = _context(embedded, receiver, len(x))
+    context = _context(embedded, receiver, vehicles)
     score = encoder.follow(torch.cat([embedded, context[receiver]], -1))[:, 0]
     nulls = encoder.nulls(context)
     greatest = nulls.amax(1).scatter_reduce(0, receiver, score, "amax")
     nulls, score = (nulls - greatest[:, None]).exp(), (score - greatest[receiver]).exp()
     total = nulls.sum(1).index_add(0, receiver, score)
-    follow = score.new_zeros(len(pairs)).masked_scatter(ahead, score / total[receiver])
-    return nulls / total[:, None], follow
+    return nulls / total[:, None], score / total[receiver]
 
 
 def _embed(encoder: PairEncoder, motion: PairMotion) -> Float[Tensor, "P H"]:
     """As `PairEncoder`; the first convolution, with its odd number of channels, is one matrix product."""
     first, *others = encoder.convolutions
     assert isinstance(first, nn.Conv1d)
-    features = nn.Sequential(*others)(_as_product(first, pair_series(motion, encoder.dt)))
-    weight = encoder.attention(features).softmax(-1)
-    heads = features.unflatten(1, (encoder.config.heads, -1))
-    pooled = [(heads * weight[:, :, None]).sum(-1).flatten(1), features.mean(-1), features.amax(-1)]
-    statistics = pair_statistics(motion, encoder.dt, reaction_evidence)
-    return encoder.pair(torch.cat([*pooled, statistics], -1))
+    features = nn.Sequential(*others)(_as_product(first, encoder.series(motion)))
+    return encoder.embedded(features, motion, reaction_evidence)
 
 
 def _as_product(layer: nn.Conv1d, series: Float[Tensor, "P C T"]) -> Float[Tensor, "P H T"]:

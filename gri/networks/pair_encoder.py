@@ -11,10 +11,12 @@ A vehicle follows at most one other vehicle, and only one that is ahead. The pai
 both accelerations, on the scale of drivers and on the scale of their own variation. The statistics say how much
 better j's accelerations are explained by what j would see of k (`gri.networks.reaction_evidence`). Nothing depends on
 the number of vehicles.
+
+An encoder that learns from few recordings reads less, and has several members, whose log probabilities are averaged.
 """
 
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Literal, NamedTuple
 
 import msgspec
 import torch
@@ -29,6 +31,7 @@ LENGTH = 5.0  # [m] of every vehicle
 LEAST_GAP = 0.5  # [m]
 NEVER = -30.0  # logit
 SERIES, STATISTICS = 18, EVIDENCES + 3  # channels
+PLAIN = 8  # the first channels of the series, on the scale of drivers
 
 
 class PairEncoderConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -40,6 +43,10 @@ class PairEncoderConfig(msgspec.Struct, frozen=True, forbid_unknown_fields=True,
     """Width of the convolutions [time steps]."""
     heads: int = 4
     """Number of attention heads that pool over time."""
+    reads: Literal["everything", "motion"] = "everything"
+    """"motion": only the series on the scale of drivers, no statistics."""
+    members: int = 1
+    """Networks of this kind, each with its own weights."""
 
 
 class Pairs(NamedTuple):
@@ -58,8 +65,9 @@ class PairEncoder(nn.Module):
         super().__init__()
         self.config, self.speed, self.dt = config, speed, dt
         h, k = config.hidden, config.kernel
+        series, statistics = (SERIES, STATISTICS) if config.reads == "everything" else (PLAIN, 0)
         self.convolutions = nn.Sequential(
-            nn.Conv1d(SERIES, h, k, padding=k // 2),
+            nn.Conv1d(series, h, k, padding=k // 2),
             nn.SiLU(),
             nn.Conv1d(h, h, k, padding=k // 2, stride=2),
             nn.SiLU(),
@@ -67,9 +75,16 @@ class PairEncoder(nn.Module):
             nn.SiLU(),
         )
         self.attention = nn.Conv1d(h, config.heads, 1)
-        self.pair = nn.Sequential(nn.Linear(3 * h + STATISTICS, 2 * h), nn.SiLU(), nn.Linear(2 * h, h), nn.SiLU())
+        self.pair = nn.Sequential(nn.Linear(3 * h + statistics, 2 * h), nn.SiLU(), nn.Linear(2 * h, h), nn.SiLU())
         self.follow = nn.Sequential(nn.Linear(3 * h, h), nn.SiLU(), nn.Linear(h, 1))
         self.nulls = nn.Sequential(nn.Linear(2 * h, h), nn.SiLU(), nn.Linear(h, 2))
+        alone = msgspec.structs.replace(config, members=1)
+        self.others = nn.ModuleList(PairEncoder(alone, speed, dt) for _ in range(config.members - 1))
+
+    @property
+    def members(self) -> Sequence["PairEncoder"]:
+        """This encoder, and the others whose answers are averaged with its own."""
+        return [self, *(other for other in self.others if isinstance(other, PairEncoder))]
 
     @property
     def least_steps(self) -> int:
@@ -87,7 +102,13 @@ class PairEncoder(nn.Module):
         return self.scores(state).softmax(-1)
 
     def scores(self, state: Float[Tensor, "B N T D"]) -> Float[Tensor, "B N 2+N"]:
-        """Logits of the explanations; those of vehicles that are not ahead at the last instant are `NEVER`."""
+        """Logits of the explanations; those of vehicles that are not ahead at the last instant are `NEVER` or less."""
+        if not self.others:
+            return self.own_scores(state)
+        return torch.stack([member.own_scores(state).log_softmax(-1) for member in self.members]).mean(0)
+
+    def own_scores(self, state: Float[Tensor, "B N T D"]) -> Float[Tensor, "B N 2+N"]:
+        """The same of this network alone."""
         x, v = state[..., 0], state[..., self.speed]
         b, n, _ = x.shape
         ahead = x[:, None, :, -1] > x[:, :, None, -1]
@@ -100,12 +121,25 @@ class PairEncoder(nn.Module):
 
     def _embed(self, x: Float[Tensor, "B N T"], v: Float[Tensor, "B N T"], which: Pairs) -> Float[Tensor, "P H"]:
         motion = pair_motion(x, v, which, self.dt)
-        features = self.convolutions(pair_series(motion, self.dt))
+        features = self.convolutions(self.series(motion))
+        evidence_of = reaction_evidence if torch.is_grad_enabled() else fast_reaction_evidence.reaction_evidence
+        return self.embedded(features, motion, evidence_of)
+
+    def series(self, motion: "PairMotion") -> Float[Tensor, "P C T"]:
+        """The channels that this encoder reads."""
+        series = pair_series(motion, self.dt)
+        return series if self.config.reads == "everything" else series[:, :PLAIN]
+
+    def embedded(
+        self, features: Float[Tensor, "P H T"], motion: "PairMotion", evidence_of: Callable[..., Tensor]
+    ) -> Float[Tensor, "P H"]:
+        """Pairs as vectors: features pooled over time, and the statistics."""
         weight = self.attention(features).softmax(-1)
         heads = features.unflatten(1, (self.config.heads, -1))
-        pooled = [(heads * weight[:, :, None]).sum(-1).flatten(1), features.mean(-1), features.amax(-1)]
-        evidence_of = reaction_evidence if torch.is_grad_enabled() else fast_reaction_evidence.reaction_evidence
-        return self.pair(torch.cat([*pooled, pair_statistics(motion, self.dt, evidence_of)], -1))
+        found = [(heads * weight[:, :, None]).sum(-1).flatten(1), features.mean(-1), features.amax(-1)]
+        if self.config.reads == "everything":
+            found.append(pair_statistics(motion, self.dt, evidence_of))
+        return self.pair(torch.cat(found, -1))
 
 
 class PairMotion(NamedTuple):

@@ -31,7 +31,6 @@ def teach_model(
     known: Float[Tensor, "S N T D"],
     settings: TeachingSettings,
     seed: int,
-    recorded: Reactions | None = None,
     progress: Progress = no_progress,
     state: TrainingState | None = None,
 ) -> tuple[RelationalModel, Mapping[str, Any]]:
@@ -41,7 +40,6 @@ def teach_model(
 
     Args:
         known: histories of the scenes that the model was trained on, of three vehicles.
-        recorded: windows of recorded traffic and of strangers, for contrastive teaching besides the drawn scenes.
 
     Raises:
         InputError: the model does not drive car following.
@@ -57,29 +55,23 @@ def teach_model(
     taught = RelationalModel(config)
     taught.decoder.load_state_dict(model.decoder.state_dict())
     assert isinstance(taught.encoder, PairEncoder)
-    teach_encoder(taught.encoder, settings, seed, recorded, progress, state)
+    teach_encoder(taught.encoder, settings, seed, progress, state)
     driven = policy_rollouts(taught, known, torch.Generator().manual_seed(seed))
-    teach_policys_reactions(taught.encoder, driven, settings, seed + 1, recorded, progress, state)
+    teach_policys_reactions(taught.encoder, driven, settings, seed + 1, progress, state)
     fit_novelty(taught, known, settings, seed)
     made = {
         "settings": msgspec.to_builtins(settings),
         "seed": seed,
-        "recorded_windows": 0 if recorded is None else len(recorded),
         "cpu_seconds": round(time.process_time() - started + (state.spent[1] if state else 0.0)),
     }
     return taught.requires_grad_(False).eval(), made
 
 
 def teaching_identity(
-    model: RelationalModel,
-    known: Float[Tensor, "S N T D"],
-    settings: TeachingSettings,
-    seed: int,
-    recorded: Reactions | None = None,
+    model: RelationalModel, known: Float[Tensor, "S N T D"], settings: TeachingSettings, seed: int
 ) -> str:
     """What makes a teaching the same one: all arguments of `teach_model` that its result depends on."""
-    windows = () if recorded is None else (recorded.x, recorded.v, recorded.leader)
-    return identity_of(settings, seed, (*model.state_dict().values(), known, *windows))
+    return identity_of(settings, seed, (*model.state_dict().values(), known))
 
 
 ROLLOUTS = 12_000

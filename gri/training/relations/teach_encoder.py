@@ -37,8 +37,6 @@ class TeachingSettings(msgspec.Struct, frozen=True, forbid_unknown_fields=True, 
     """Share of scenes with strangers."""
     measurement_noise: tuple[float, float] = (0.001, 0.2)
     """Standard deviation of noise on x [m] and v [m/s], log-uniform, in 0.3 of the scenes."""
-    recorded_weight: float = 1.0
-    """Weight of recorded windows, where there are any."""
     updates: int = 12_000
     policy_updates: int = 2500
     """Updates after these, in which roll-outs of the policy under random graphs are shown besides."""
@@ -51,21 +49,18 @@ def teach_encoder(
     encoder: PairEncoder,
     settings: TeachingSettings,
     seed: int,
-    recorded: Reactions | None = None,
     progress: Progress = no_progress,
     state: TrainingState | None = None,
 ) -> None:
     """Train the encoder in place.
 
-    `recorded` are windows of recorded traffic in which each vehicle follows the next, and windows broken on purpose in
-    which no vehicle can react to another one (leader `UNSEEN`). Each update then has a batch of both kinds. With
-    `state`, the training goes on where that one was stopped; the scenes are drawn again, the same ones.
+    With `state`, the training goes on where that one was stopped; the scenes are drawn again, the same ones.
     """
     generator = torch.Generator().manual_seed(seed)
     pool = draw_pool(settings, encoder.dt, generator, progress)
     descent = Descent(encoder.parameters(), settings.rate, settings.updates, clip=1.0)
     for update in (state or no_state()).updates("relations", settings.updates, generator, descent):
-        loss = _loss(encoder, pool, recorded, settings, generator)
+        loss = explanation_loss(encoder, broken_batch(pool, settings, generator))
         descent.step(loss)
         progress("relations", update + 1, settings.updates, float(loss.detach()))
 
@@ -75,7 +70,6 @@ def teach_policys_reactions(
     driven: Reactions,
     settings: TeachingSettings,
     seed: int,
-    recorded: Reactions | None = None,
     progress: Progress = no_progress,
     state: TrainingState | None = None,
 ) -> None:
@@ -88,27 +82,11 @@ def teach_policys_reactions(
     descent = Descent(encoder.parameters(), settings.policy_rate, settings.policy_updates, clip=1.0)
     total = settings.policy_updates
     for update in (state or no_state()).updates("policy's reactions", total, generator, descent):
-        loss = _loss(encoder, pool, recorded, settings, generator)
+        loss = explanation_loss(encoder, broken_batch(pool, settings, generator))
         rows = torch.randint(len(driven), (settings.batch,), generator=generator)
         loss = loss + explanation_loss(encoder, with_noise(driven[rows], settings, generator))
         descent.step(loss)
         progress("policy's reactions", update + 1, total, float(loss.detach()))
-
-
-def _loss(
-    encoder: PairEncoder,
-    pool: Reactions,
-    recorded: Reactions | None,
-    settings: TeachingSettings,
-    generator: torch.Generator,
-) -> Float[Tensor, ""]:
-    loss = explanation_loss(encoder, broken_batch(pool, settings, generator))
-    if recorded is None:
-        return loss
-    rows = torch.randint(len(recorded), (settings.batch,), generator=generator)
-    shown = int(torch.randint(2, recorded.x.shape[1] + 1, (1,), generator=generator))
-    windows = hide_vehicles(recorded[rows], shown, generator)
-    return loss + settings.recorded_weight * explanation_loss(encoder, windows, merge_nulls=True)
 
 
 def draw_pool(

@@ -1,5 +1,6 @@
 """The benchmark of merges: scores against hand counts, controls that break what they say, resumable and repeatable."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 import torch
 
 from gri.bench import merges
-from gri.bench.merge_rows import POSTERIOR, as_the_models_see, starts
+from gri.bench.merge_rows import POSTERIOR, Training, as_the_models_see, starts
 from gri.bench.merge_scenes import controls, read_merges
 from gri.bench.merge_scores import balanced_accuracy, claimed, f1_by_type, macro_f1
 from gri.bench.merges import Plan, run
@@ -150,6 +151,19 @@ def test_released_models_see_the_target_lane_at_zero_and_net_gaps(files):
     gap = seen[:, 2, :, X] - seen[:, 0, :, X] - 5.0
     true = scenes.state[:, 2, :, X] - scenes.state[:, 0, :, X] - scenes.length[:, 2, None]
     assert torch.allclose(gap, true)
+
+
+@pytest.mark.parametrize("name", ["released: merge_relations", f"{POSTERIOR}, online"])
+def test_rows_that_are_online_see_nothing_later(name: str, files):
+    scenes = read_merges(files[0])
+    row = next(row for row in merges.ROWS if row.name == name)
+    infer = row.prepare(Training((scenes,), lambda _: dict(CONSTANTS)), 0)
+    state = scenes.state.clone()
+    state[:, MERGER, 15:, V] *= 0.5  # it brakes late
+    before, after = infer(scenes).steps, infer(replace(scenes, state=state)).steps
+    assert torch.allclose(before.sum(-1), torch.ones(before.shape[:-1]).double())
+    assert torch.allclose(before[:, :15], after[:, :15])
+    assert not torch.allclose(before[:, 15:], after[:, 15:])
 
 
 def test_other_seeds_begin_learning_from_constants_that_are_wrong_by_two():

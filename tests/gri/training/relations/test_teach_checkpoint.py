@@ -125,13 +125,11 @@ def test_the_state_of_another_teaching_is_refused(generator: torch.Generator, tm
     with pytest.raises(KeyboardInterrupt), state.stoppable():
         teach_model(model, known, SHORT, 1, progress=StopAt(1), state=state)
     assert TrainingState(path, mine).at
-    windows = draw_reactions(ReactionPrior(vehicles=3), 10, 25, 0.2, generator)
     for identity in (
         teaching_identity(other, known, SHORT, 1),
         teaching_identity(model, known[1:], SHORT, 1),
         teaching_identity(model, known, TINY, 1),
         teaching_identity(model, known, SHORT, 2),
-        teaching_identity(model, known, SHORT, 1, windows),
     ):
         with pytest.raises(InputError, match="got the state of a training with another configuration"):
             TrainingState(path, identity)
