@@ -177,7 +177,7 @@ def _released_encoder(name: str) -> Prepare:
 
         def infer(scenes: MergeScenes) -> Inferred:
             seen = as_the_models_see(scenes)
-            seen[..., X] -= seen[:, -1:, :1, X]  # from the leader's first position, where float32 is finest
+            seen[..., X] -= seen[:, -1:, :1, X].clone()  # from the leader's first position, where float32 is finest
             steps = per_step(encoder, seen)
             return Inferred(steps, scene_graphs(steps, scenes.motion(), constants))
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from gri import checkpoint
 from gri.bench import merges
 from gri.bench.merge_rows import POSTERIOR, Training, as_the_models_see, starts
 from gri.bench.merge_scenes import controls, read_merges
@@ -164,6 +165,17 @@ def test_rows_that_are_online_see_nothing_later(name: str, files):
     assert torch.allclose(before.sum(-1), torch.ones(before.shape[:-1]).double())
     assert torch.allclose(before[:, :15], after[:, :15])
     assert not torch.allclose(before[:, 15:], after[:, 15:])
+
+
+def test_a_released_encoder_says_in_each_step_what_the_model_infers_from_the_window_before(files):
+    scenes = read_merges(files[0])
+    row = next(row for row in merges.ROWS if row.name == "released: merge_relations")
+    said = row.prepare(Training((scenes,), lambda _: dict(CONSTANTS)), 0)(scenes).steps
+    window = as_the_models_see(scenes)[:, :, :16]
+    window[..., X] -= window[:, -1:, -1:, X].clone()
+    inferred = checkpoint.load("merge_relations").infer(window.float()).probs.double()
+    torch.testing.assert_close(said[:, 15], inferred, atol=1e-4, rtol=0)
+    assert torch.equal(said[:, 0], said[:, 9])  # the first ten states are seen together
 
 
 def test_other_seeds_begin_learning_from_constants_that_are_wrong_by_two():
