@@ -41,6 +41,7 @@ from cosim.world.snapshot import Snapshot
 from cosim.world.surroundings import Surroundings
 from gri.core.graph import EdgeType, InteractionGraph, pairs
 from gri.core.policy import Policy
+from gri.networks.next_ahead import FollowsNextAhead
 from gri.reference_drivers.drivers import DriverName
 
 _S = COLUMNS.index("s")
@@ -88,8 +89,11 @@ def start_round(
     if driver.policy is None:
         return RoundStart(SumoDriverControl(driver.name, this_round), intervention, now, observations, members)
     layout = layout_of(this_round.rule, road, latest.state, now.length[latest.rows], this_round.lanes)
+    policy = driver.policy
+    if driver.without and isinstance(policy, FollowsNextAhead):
+        policy = policy.without(driver.without)
     runner = PolicyRunner(
-        driver.policy,
+        policy,
         layout,
         observations,
         intervention.displaced_start(latest),

@@ -2,12 +2,13 @@
 
 The recorded drive is given to the policy again, step by step. The same decisions come out, which is checked. Then each
 edge is set to none, and the difference in acceleration is the effect of the edge [m/s²]. A policy without a graph is
-asked instead what it would do without a vehicle, which is moved `FAR` ahead.
+asked instead what it would do without a vehicle, which is moved `FAR` ahead. One that follows whoever is next ahead
+does not see the sender of the edge ahead of it either; a vehicle without an edge has such an effect, too.
 
 Begin with `effects_of`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 
@@ -23,6 +24,7 @@ from gri.core.dynamics import DUBINS, POINT_MASS_1D
 from gri.core.graph import FOLLOWING, LANE_CHANGING, EdgeType, InteractionGraph
 from gri.core.policy import Policy, PolicyState
 from gri.core.trajectory import Trajectory
+from gri.networks.next_ahead import FollowsNextAhead
 
 FAR = 500.0  # [m], how far ahead a vehicle is moved that is to have no effect
 LOOK_BACK = 1.0  # [s], for how long an edge is absent in the second comparison
@@ -33,7 +35,8 @@ AGREES = 0.02  # [m/s²], the largest difference between a recorded acceleration
 class Effect:
     """The effect of one reason on one vehicle at T instants of the drive.
 
-    `reason` is "follow 2" for an edge, "vehicle 2" for a policy without a graph. All accelerations are in m/s².
+    `reason` is "follow 2" for an edge, "ahead 2" for a vehicle ahead without one, "vehicle 2" for a policy without a
+    graph. All accelerations are in m/s².
     """
 
     receiver: int
@@ -111,7 +114,18 @@ def effects_of(drive: Drive, policy: Policy, driven: Sequence[int]) -> list[Effe
         for reason in _reasons(drive, receiver):
             without = own.without(reason, receiver)
             found.append(_effect(own, without, memories, reason, receiver))
+        if isinstance(policy, FollowsNextAhead):
+            found += [effect for effect in _ahead(own, memories, receiver) if np.abs(effect.decision).max() >= AGREES]
     return found
+
+
+def _ahead(own: "_Replay", memories: Sequence[PolicyState], receiver: int) -> Iterator[Effect]:
+    """The effects of vehicles that a vehicle sees ahead of it, and to which it has no edge."""
+    with_edge = {sender for graph in own.drive.graphs for sender, to in graph if to == receiver}
+    for sender in range(own.drive.state.shape[1]):
+        if sender != receiver and sender not in with_edge:
+            reason = ((sender, "ahead"),)
+            yield _effect(own, own.without(reason, receiver), memories, reason, receiver)
 
 
 @torch.inference_mode()
@@ -122,7 +136,7 @@ def effect_since_takeover(drive: Drive, policy: Policy, sender: int, receiver: i
     """
     own = _Replay(policy, drive)
     without = own._graphs([{p: kind for p, kind in g.items() if p != (sender, receiver)} for g in drive.graphs])
-    last = _without_for(own, without, own.memories(), [], receiver, 0, steps)
+    last = _without_for(own.unaware({(sender, receiver)}), without, own.memories(), [], receiver, 0, steps)
     v = policy.dynamics.speed
     return float(drive.state[steps, receiver, v] - last[v]) / (steps * policy.dt)
 
@@ -181,6 +195,11 @@ class _Replay:
         absent = {(sender, receiver) for sender, _ in reason}
         return self._graphs([{p: kind for p, kind in graph.items() if p not in absent} for graph in self.drive.graphs])
 
+    def unaware(self, pairs: Iterable[tuple[int, int]]) -> "_Replay":
+        """The same, where a policy that follows who is next ahead does not for these pairs (sender, receiver)."""
+        policy = self.policy
+        return replace(self, policy=policy.without(pairs)) if isinstance(policy, FollowsNextAhead) else self
+
     def next(
         self, memory: PolicyState, state: Float[Tensor, "N D"], moved: Sequence[int]
     ) -> tuple[Float[Tensor, "N D"], PolicyState]:
@@ -199,14 +218,15 @@ def _effect(
     """The effect of a reason on vehicle j at every instant after the first decision."""
     drive, dt = own.drive, own.policy.dt
     moved = [sender for sender, kind in reason if kind == "vehicle"]
+    unaware = own.unaware({(sender, j) for sender, _ in reason})
     a = own.policy.dynamics.index("a")
     steps, back = len(drive.state) - 1, max(1, round(LOOK_BACK / dt))
     again = torch.stack([own.next(memories[t], drive.state[t], [])[0][j] for t in range(steps)])
     once = torch.stack(
-        [own.next(replace(memories[t], graph=without[t]), drive.state[t], moved)[0][j] for t in range(steps)]
+        [unaware.next(replace(memories[t], graph=without[t]), drive.state[t], moved)[0][j] for t in range(steps)]
     )
     longer = torch.stack(
-        [_without_for(own, without, memories, moved, j, max(t + 1 - back, 0), t + 1) for t in range(steps)]
+        [_without_for(unaware, without, memories, moved, j, max(t + 1 - back, 0), t + 1) for t in range(steps)]
     )
     recorded = drive.state[1:, j]
     return Effect(

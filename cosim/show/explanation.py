@@ -117,8 +117,8 @@ def _why(effects: Sequence[Effect]) -> Iterator[str]:
     agrees = effects[0].agrees
     if not agrees.any():
         yield (
-            "  The policy does not give the recorded accelerations when it decides again, because its sensing or its"
-            " actions were perturbed. So no reasons are given."
+            "  The policy does not give the recorded accelerations when it decides again: its sensing or its actions"
+            " were perturbed, or it reacted to a vehicle outside the group. So no reasons are given."
         )
         return
     means = ", ".join(f"`{e.reason}` {_signed(e.second[agrees].mean())} m/s²" for e in effects)
@@ -144,7 +144,8 @@ def _why(effects: Sequence[Effect]) -> Iterator[str]:
     if not agrees.all():
         yield (
             f"  At {int((~agrees).sum())} of {len(agrees)} instants the policy does not give the recorded acceleration"
-            f" again (difference above {AGREES:g} m/s²: perturbed sensing or control); they are left out."
+            f" again (difference above {AGREES:g} m/s²: perturbed sensing or control, or a vehicle outside the group);"
+            " they are left out."
         )
 
 
@@ -171,7 +172,8 @@ def _moment(effects: Sequence[Effect], k: int) -> str:
         if abs(change) < SMALL:
             parts.append(f"Without `{effect.reason}` it would have done the same.")
         else:
-            what = "edges" if " and " in effect.reason else "vehicle" if "vehicle" in effect.reason else "edge"
+            of_vehicle = effect.reason.startswith(("vehicle", "ahead"))
+            what = "edges" if " and " in effect.reason else "vehicle" if of_vehicle else "edge"
             parts.append(
                 f"Without `{effect.reason}` it would have {_did(now - change)}: the {what}"
                 f" {'took' if change < 0 else 'added'} {abs(change):.1f} m/s²"

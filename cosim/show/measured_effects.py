@@ -35,6 +35,7 @@ from cosim.traffic.warm_up import warm_up
 from cosim.world.groups import isolated
 from cosim.world.snapshot import Snapshot
 from gri.errors import InputError
+from gri.networks.next_ahead import FollowsNextAhead
 from gri.table import Table
 
 SMALL = 0.05  # [m/s²]; a smaller effect is none
@@ -61,7 +62,8 @@ def measured_effects(
     """One row per episode of a run, driven vehicle and other vehicle of its group.
 
     Columns: `episode`, `receiver`, `sender`, `edge` (inferred at the take-over), `over` [s] (less where a drive ended
-    before), `stated` (what the explanation says the edge did to the acceleration, on average over that time), and
+    before), `stated` (what the explanation says the edge, or being seen ahead, did to the acceleration, on average over
+    that time), and
     `without_edge`, `without_vehicle` (what was measured); all effects in m/s², positive where the reason made the
     vehicle faster. `same` says whether the repeated drive has the recorded speeds.
 
@@ -157,7 +159,8 @@ def _rows_of_round(
                 return float(as_it_was.speed[g, steps, j] - part.speed[g, steps, j]) / (steps * short.dt)
 
             assert driver.policy is not None, "SUMO's drivers have no graph"
-            stated = 0.0 if kind is None else effect_since_takeover(replay, driver.policy, i, j, steps)
+            unnamed = kind is None and not isinstance(driver.policy, FollowsNextAhead)
+            stated = 0.0 if unnamed else effect_since_takeover(replay, driver.policy, i, j, steps)
             yield {
                 "episode": view.number,
                 "receiver": j,

@@ -7,6 +7,8 @@ careful of both answers counts along the road; across it the graph decides alone
 into: faster than it was taught, a policy would swing through that lane and into the one behind it.
 """
 
+from collections.abc import Iterable
+
 import numpy as np
 import torch
 from jaxtyping import Bool, Float, Int
@@ -54,6 +56,16 @@ class FollowsNextAhead:
         self._heading = dynamics.index("heading") if self._planar else 0
         self._lateral = [dynamics.index(name) for name in ("y", "v", "heading", "yaw_rate")] if self._planar else []
         self._in_pairs: dict[int, FewVehicles] = {}  # by the number of scenes of two
+        self._unseen: tuple[tuple[int, int], ...] = ()
+
+    def without(self, pairs: Iterable[tuple[int, int]]) -> "FollowsNextAhead":
+        """The same policy, in which the receiver of each pair (sender, receiver) does not see the sender ahead of it.
+
+        What the graph says of the pair is another matter.
+        """
+        other = FollowsNextAhead(self.model)
+        other._unseen = tuple(pairs)
+        return other
 
     @property
     def dynamics(self) -> Dynamics:
@@ -113,7 +125,7 @@ class FollowsNextAhead:
 
         The latter is for as many scenes of two as there are vehicles: the first ones are those with a vehicle ahead.
         """
-        numbers = self.model.few_vehicles(memory)
+        numbers = None if self._unseen else self.model.few_vehicles(memory)
         return None if numbers is None else (numbers, self._in_scenes(numbers.vehicles))
 
     def _in_scenes(self, count: int) -> FewVehicles:
@@ -150,6 +162,8 @@ class FollowsNextAhead:
             np.maximum(closer, 0, out=closer)
             closer *= _LOOK_AHEAD
             in_path &= np.abs(across) - closer < _OWN_WIDTH
+        for sender, receiver in self._unseen:
+            in_path[:, receiver, sender] = False
         ahead -= _LENGTH
         gaps = np.where(in_path, ahead, _NONE)
         gap, flat = gaps.min(-1), state.reshape(-1, state.shape[2])

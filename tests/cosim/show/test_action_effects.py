@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from cosim.show.action_effects import AGREES, Drive, drive_of, effects_of
+from cosim.show.action_effects import AGREES, Drive, drive_of, effect_since_takeover, effects_of
 from cosim.show.episode_view import EpisodeView, InferredEdge
 from cosim.spec.loading import load_scenario
 from cosim.spec.scenario import Scenario
@@ -17,6 +17,7 @@ from gri.core.graph import FOLLOWING, EdgeType, InteractionGraph
 from gri.core.policy import IntelligentDriver, PolicyState
 from gri.core.trajectory import Trajectory
 from gri.networks.model import CHAIN, MERGE
+from gri.networks.next_ahead import FollowsNextAhead
 
 DT = 0.2
 
@@ -61,6 +62,21 @@ def driven(policy, edges: dict[tuple[int, int], EdgeType], start: torch.Tensor, 
 def in_one_lane(states: torch.Tensor) -> Drive:
     edges = {(1, 0): EdgeType.FOLLOW, (2, 0): EdgeType.FOLLOW}
     return Drive(states, states[:1].transpose(0, 1), [edges] * len(states))
+
+
+def test_a_policy_that_follows_who_is_ahead_has_a_reason_without_an_edge():
+    """The lag vehicle lets the merging one in; its graph has no edge from the slower leader, behind which it brakes."""
+    policy = FollowsNextAhead(checkpoint.load("us101_merge"))
+    start = torch.tensor([[-45.0, -3.75, 12.0, 0, 0, 0], [-20.0, 0.0, 12.0, 0, 0, 0], [0.0, 0.0, 6.0, 0, 0, 0]])
+    edges = {(2, 0): EdgeType.FOLLOW, (1, 0): EdgeType.CUT_IN, (0, 1): EdgeType.YIELD}
+    states = driven(policy, edges, start)
+    drive = Drive(states, states[:1].transpose(0, 1), [edges] * len(states))
+    found = {effect.reason: effect for effect in effects_of(drive, policy, [1])}
+    assert list(found) == ["yield 0", "ahead 2"]
+    assert found["ahead 2"].agrees[:10].all()
+    assert found["ahead 2"].second[:10].min() < -0.3
+    assert effect_since_takeover(drive, policy, 2, 1, 5) < -0.1
+    assert [effect.reason for effect in effects_of(drive, policy.model, [1])] == ["yield 0"]
 
 
 START = torch.tensor([[0.0, 20.0, 0.0], [35.0, 20.0, 0.0], [70.0, 20.0, -0.5]])

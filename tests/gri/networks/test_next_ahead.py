@@ -104,6 +104,15 @@ def test_nobody_ahead_changes_nothing(merge):
     torch.testing.assert_close(FollowsNextAhead(merge).act(given, now)[0], merge.act(given, now)[0], rtol=0, atol=0)
 
 
+def test_a_vehicle_that_is_not_to_be_seen_changes_nothing(merge):
+    now, given = state(*BESIDE), memory(merge, MERGE)
+    alone, everybody = merge.act(given, now)[0].clone(), FollowsNextAhead(merge).act(given, now)[0].clone()
+    blind = FollowsNextAhead(merge).without([(2, 1)]).act(given, now)[0]
+    assert everybody[0, 1, 0] < alone[0, 1, 0] - 0.5
+    assert blind[0, 1, 0] == alone[0, 1, 0]
+    assert blind[0, 0, 0] == everybody[0, 0, 0], "others see as before"
+
+
 @pytest.mark.parametrize("v", [12.0, 16.0])
 def test_a_fast_vehicle_stays_in_the_lane_that_it_merges_into(merge, v):
     """Nobody is near, and the leader far ahead. The model alone swings into the lane behind; y grows that way."""
