@@ -64,6 +64,14 @@ def test_the_merge_table_is_what_the_released_episodes_say():
         assert merge_table({site: sites[site]}, MERGES, MERGE_POLICIES) in (RESULTS / folder / "README.md").read_text()
 
 
+def test_what_the_options_of_merges_are_worth_is_what_the_released_episodes_say():
+    page = (ROOT / "docs/groups-that-change.md").read_text()
+    for ending in ("", "_ended"):
+        folders = {"US-101": f"stress_us101_merge{ending}", "I-80": f"stress_i80_merge{ending}"}
+        sites = {site: pd.read_parquet(RESULTS / folder / "episodes.parquet") for site, folder in folders.items()}
+        assert merge_table(sites, MERGES, ["gri", "gri+rss", "idm"]) in page
+
+
 def mean(table: pd.DataFrame, row: str, metric: str) -> float:
     """Mean over the seeds that a released table has of a row."""
     return float(table.loc[(table["row"] == row) & (table["metric"] == metric), "mean"].mean())

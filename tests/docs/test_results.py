@@ -12,8 +12,8 @@ IMAGE = re.compile(r"!\[([^\]]*)\]\(([^()\s]+)\)")
 STRESS = {  # kinds × (nominal and one intensity) × policies
     "stress_us101_merge": 3 * 2 * 7,
     "stress_i80_merge": 3 * 2 * 7,
-    "stress_us101_merge_joined": 2 * 2 * 5,
-    "stress_i80_merge_joined": 2 * 2 * 5,
+    "stress_us101_merge_ended": 3 * 2 * 3,
+    "stress_i80_merge_ended": 3 * 2 * 3,
 }
 HAND_WRITTEN = [
     path
