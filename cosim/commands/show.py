@@ -161,23 +161,23 @@ def explain(
     """
     if measure:
         return _measure(run, over, out, table_format)
-    from cosim.runs.run_reading import read_tables
+    from cosim.runs.run_reading import read_surroundings, read_tables
     from cosim.show.episode_view import episode_view
     from cosim.show.explanation import explanation
 
-    say(explanation(episode_view(read_tables(run), episode), run))
+    say(explanation(episode_view(read_tables(run) | read_surroundings(run), episode), run))
     next_command(f"cosim render {run} --episode {episode}")
 
 
 def _measure(run: Path, over: float, out: Path | None, table_format: TableFormat) -> None:
     from cosim.runs.finished_run import read_scenario
-    from cosim.runs.run_reading import read_tables
+    from cosim.runs.run_reading import read_surroundings, read_tables
     from cosim.show.measured_effects import faithfulness, faithfulness_table, is_in_lane, measured_effects
     from gri.storage.whole_files import write_whole
 
     scenario = read_scenario(run)
     with ProgressDisplay() as display:
-        rows = measured_effects(scenario, read_tables(run), over, display)
+        rows = measured_effects(scenario, read_tables(run) | read_surroundings(run), over, display)
     if rows.empty:
         raise InputError(f"--measure: no drive of {run} lasts a step; run more episodes")
     path = out or run.with_name(run.name + "-measured_effects.csv")

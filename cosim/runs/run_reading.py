@@ -37,6 +37,15 @@ def check_columns(path: Path, table: pd.DataFrame, needed: Sequence[str]) -> Non
             )
 
 
+def read_surroundings(folder: Path) -> dict[str, pd.DataFrame]:
+    """The table of who was near, by its name; nothing where the run has none (`surroundings: false`)."""
+    if not (folder / "surroundings.parquet").is_file():
+        return {}
+    path = verified_file(folder, "surroundings.parquet")
+    with guarded_reading(path, "table of a run", "run the scenario again"):
+        return {"surroundings": pd.read_parquet(path)}
+
+
 def read_tables(folder: Path) -> dict[str, pd.DataFrame]:
     """The tables of a run folder, as they were written; an `InputError` says what is missing or damaged."""
     if not folder.is_dir():

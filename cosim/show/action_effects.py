@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from itertools import groupby
 
 import numpy as np
+import pandas as pd
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
@@ -22,6 +23,7 @@ from cosim.spec.scenario import CarFollowing, Scenario
 from cosim.world.road_frame import model_offsets
 from gri.core.dynamics import DUBINS, POINT_MASS_1D
 from gri.core.graph import FOLLOWING, LANE_CHANGING, EdgeType, InteractionGraph
+from gri.core.nearby import OWN_WIDTH, NextAhead
 from gri.core.policy import Policy, PolicyState
 from gri.core.trajectory import Trajectory
 from gri.networks.next_ahead import FollowsNextAhead
@@ -56,6 +58,27 @@ class Effect:
 
 
 @dataclass(frozen=True)
+class Outside:
+    """The M vehicles near a group at one instant: fronts along the road and centres across it [m], and so on."""
+
+    s: Float[np.ndarray, " M"]
+    d: Float[np.ndarray, " M"]
+    v: Float[np.ndarray, " M"]
+    length: Float[np.ndarray, " M"]
+    width: Float[np.ndarray, " M"]
+
+    def next_ahead(self, s: Float[np.ndarray, " N"], d: Float[np.ndarray, " N"]) -> NextAhead:
+        """The next one ahead in the path of each of N vehicles at these places, as a policy is told it."""
+        ahead, across = self.s - s[:, None], np.abs(self.d - d[:, None])
+        in_path = (ahead > 0) & (across < 0.5 * (self.width + OWN_WIDTH))
+        gap = np.where(in_path, ahead - self.length, np.inf)
+        if not gap.shape[1]:
+            return NextAhead(np.full((1, len(s)), np.inf, np.float32), np.zeros((1, len(s)), np.float32))
+        v = np.where(np.isfinite(gap.min(1)), self.v[gap.argmin(1)], 0.0)
+        return NextAhead(gap.min(1)[None].astype(np.float32), v[None].astype(np.float32))
+
+
+@dataclass(frozen=True)
 class Drive:
     """What a policy saw in its drive: states of T + 1 instants in the frame of the model, and the graph at each."""
 
@@ -63,18 +86,37 @@ class Drive:
     history: Float[Tensor, "N H D"]
     graphs: Sequence[Mapping[tuple[int, int], EdgeType]]
     """The edges at each instant, without pairs of type none; empty for a policy without a graph."""
+    outside: Sequence[Outside] = ()
+    """The others near at each instant; empty where they are not known."""
+    origin: tuple[Float[np.ndarray, " N"], float] | None = None
+    """What is added to x and to y of each vehicle, to have its front along and its centre across the road [m]."""
 
 
 def drive_of(view: EpisodeView, scenario: Scenario) -> Drive:
     """The drive of an episode as its policy saw it; x counts from the leader at the take-over."""
     rows, in_lane = np.flatnonzero(view.during_drive), isinstance(scenario.group, CarFollowing)
     states = _model_states(view, in_lane, scenario.step)
-    states[..., 0] -= states[rows[0], -1, 0].clone()
+    begin = float(states[rows[0], -1, 0])
+    states[..., 0] -= begin
     last = len(rows) if in_lane else len(rows) - 2  # heading and yaw rate are those between successive positions
     graphs = (
         [_edges_at(view.inferred_edges, float(view.time[row])) for row in rows[:last]] if view.inferred_edges else []
     )
-    return Drive(states[rows[:last]], states[: rows[0] + 1].transpose(0, 1), graphs)
+    history = states[: rows[0] + 1].transpose(0, 1)
+    if view.around is None:
+        return Drive(states[rows[:last]], history, graphs)
+    now = rows[0]
+    shift = view.feature("s")[now] - states[now, :, 0].numpy()
+    aside = float(view.feature("d")[now, 0] - (0.0 if in_lane else states[now, 0, 1]))
+    return Drive(states[rows[:last]], history, graphs, _outside(view.around, view.time[rows[:last]]), (shift, aside))
+
+
+def _outside(around: pd.DataFrame, times: Float[np.ndarray, " T"]) -> list[Outside]:
+    found = []
+    for time in times.tolist():
+        now = around[(around["time"] - time).abs() < 1e-6]
+        found.append(Outside(*(now[name].to_numpy(float) for name in ("s", "d", "v", "length", "width"))))
+    return found
 
 
 def _model_states(view: EpisodeView, in_lane: bool, dt: float) -> Float[Tensor, "T N D"]:
@@ -141,6 +183,26 @@ def effect_since_takeover(drive: Drive, policy: Policy, sender: int, receiver: i
     return float(drive.state[steps, receiver, v] - last[v]) / (steps * policy.dt)
 
 
+@torch.inference_mode()
+def effect_of_vehicle(
+    drive: Drive, policy: Policy, sender: int, driven: Sequence[int], steps: int
+) -> Float[np.ndarray, " N"]:
+    """What a vehicle did to the mean acceleration [m/s²] of each vehicle in the first `steps`, also by way of others.
+
+    All `driven` vehicles drive together without its edges from the take-over on, the others as recorded.
+    """
+    own = _Replay(policy, drive)
+    count, v = drive.state.shape[1], policy.dynamics.speed
+    blind = own.unaware({(sender, receiver) for receiver in range(count) if receiver != sender})
+    without = own._graphs([{p: kind for p, kind in g.items() if p[0] != sender} for g in drive.graphs])
+    memory, state, drivers = own.memories()[0], drive.state[0], list(driven)
+    for t in range(steps):
+        after, memory = blind.next(replace(memory, graph=without[t]), state, [], t)
+        state = drive.state[t + 1].clone()
+        state[drivers] = after[drivers]
+    return ((drive.state[steps, :, v] - state[:, v]) / (steps * policy.dt)).numpy()
+
+
 Reason = tuple[tuple[int, str], ...]
 """Sender and type of each edge that is taken away; the type "vehicle" takes the sender itself away."""
 
@@ -172,7 +234,7 @@ class _Replay:
         for state, graph in zip(self.drive.state, self._graphs(self.drive.graphs), strict=True):
             memory = replace(memory, graph=graph)
             found.append(memory)
-            memory = self.policy.act(memory, _relative(state[None]))[1]
+            memory = self.policy.act(memory, _relative(state[None]))[1]  # who is near changes no memory
         return found
 
     def _graphs(self, edges: Sequence[Mapping[tuple[int, int], EdgeType]]) -> list[InteractionGraph | None]:
@@ -201,15 +263,25 @@ class _Replay:
         return replace(self, policy=policy.without(pairs)) if isinstance(policy, FollowsNextAhead) else self
 
     def next(
-        self, memory: PolicyState, state: Float[Tensor, "N D"], moved: Sequence[int]
+        self, memory: PolicyState, state: Float[Tensor, "N D"], moved: Sequence[int], t: int
     ) -> tuple[Float[Tensor, "N D"], PolicyState]:
-        """The states after one decision, in which the vehicles of `moved` are too far away to matter."""
+        """The states after the decision at step t, in which the vehicles of `moved` are too far away to matter."""
         seen = state.clone()
         seen[list(moved), 0] += FAR
-        action, memory = self.policy.act(memory, _relative(seen[None]))
+        if isinstance(self.policy, FollowsNextAhead) and self.drive.outside:
+            action, memory = self.policy.act(memory, _relative(seen[None]), self._next_outside(state, t))
+        else:
+            action, memory = self.policy.act(memory, _relative(seen[None]))
         dynamics, now = self.policy.dynamics, state[None]
         after = dynamics.step(now, action.double(), self.policy.dt)
         return (after if dynamics.stop is None else dynamics.stop(now, after))[0], memory
+
+    def _next_outside(self, state: Float[Tensor, "N D"], t: int) -> NextAhead:
+        """Who of the recorded others is next ahead of each vehicle at step t."""
+        assert self.drive.origin is not None, "others are placed along the road"
+        (shift, aside), values = self.drive.origin, state.numpy()
+        across = values[:, 1] + aside if self.policy.dynamics.name is DUBINS.name else np.full(len(values), aside)
+        return self.drive.outside[t].next_ahead(values[:, 0] + shift, across)
 
 
 def _effect(
@@ -221,9 +293,9 @@ def _effect(
     unaware = own.unaware({(sender, j) for sender, _ in reason})
     a = own.policy.dynamics.index("a")
     steps, back = len(drive.state) - 1, max(1, round(LOOK_BACK / dt))
-    again = torch.stack([own.next(memories[t], drive.state[t], [])[0][j] for t in range(steps)])
+    again = torch.stack([own.next(memories[t], drive.state[t], [], t)[0][j] for t in range(steps)])
     once = torch.stack(
-        [unaware.next(replace(memories[t], graph=without[t]), drive.state[t], moved)[0][j] for t in range(steps)]
+        [unaware.next(replace(memories[t], graph=without[t]), drive.state[t], moved, t)[0][j] for t in range(steps)]
     )
     longer = torch.stack(
         [_without_for(unaware, without, memories, moved, j, max(t + 1 - back, 0), t + 1) for t in range(steps)]
@@ -253,7 +325,7 @@ def _without_for(
     """The state of vehicle j at step `last` if the reason is absent from step `first` on, the others as recorded."""
     memory, state = memories[first], own.drive.state[first]
     for t in range(first, last):
-        after, memory = own.next(replace(memory, graph=without[t]), state, moved)
+        after, memory = own.next(replace(memory, graph=without[t]), state, moved, t)
         state = own.drive.state[t + 1].clone()
         state[j] = after[j]
     return state[j]

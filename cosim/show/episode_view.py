@@ -46,6 +46,8 @@ class EpisodeView:
     gap: Float[np.ndarray, "T N"]
     ttc: Float[np.ndarray, "T N"]
     inferred_edges: tuple[InferredEdge, ...]
+    around: pd.DataFrame | None = None
+    """Who else was near, by `time`: rows of the table `surroundings` but for the group; None where it is missing."""
 
     def feature(self, name: str) -> Float[np.ndarray, "T N"]:
         return self.state[..., COLUMNS.index(name)]
@@ -81,7 +83,11 @@ def episode_view(tables: Mapping[str, pd.DataFrame], number: int, *, counterpart
         known = groups["episode"]
         raise InputError(f"--episode: got {number}, this run has the episodes {known.min()} to {known.max()}")
     rows = steps[(steps["episode"] == number) & (steps["counterpart"] == counterpart)].sort_values(["time", "role"])
-    size = group_size(found.iloc[0].to_dict())
+    size, around = group_size(found.iloc[0].to_dict()), tables.get("surroundings")
+    if around is not None:
+        members = {found[f"vehicle_{role}"].iloc[0] for role in range(size)}
+        around = around[(around["episode"] == number) & (around["counterpart"] == counterpart)]
+        around = around[~around["vehicle"].isin(members)]
     shape = (len(rows) // size, size)
 
     def wide(column: str) -> np.ndarray:
@@ -99,6 +105,7 @@ def episode_view(tables: Mapping[str, pd.DataFrame], number: int, *, counterpart
         gap=wide("gap"),
         ttc=wide("ttc"),
         inferred_edges=() if counterpart else _inferred_edges(tables["graphs"], number),
+        around=around,
     )
 
 

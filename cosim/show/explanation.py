@@ -5,8 +5,8 @@ acceleration. Reward: its weighted terms (gri.rewards.structured) are evaluated 
 the model; the largest are named.
 """
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from textwrap import fill
 
@@ -17,7 +17,7 @@ from torch import Tensor
 from cosim.runs.finished_run import read_scenario
 from cosim.runs.policy_loading import policy_of
 from cosim.runs.summary import driver_name
-from cosim.show.action_effects import AGREES, FAR, LOOK_BACK, Effect, drive_of, effects_of
+from cosim.show.action_effects import AGREES, FAR, LOOK_BACK, Effect, drive_of, effect_of_vehicle, effects_of
 from cosim.show.episode_view import EpisodeView, InferredEdge
 from cosim.spec.input_files import checkpoint_path
 from cosim.spec.scenario import CarFollowing, Scenario, TrainedPolicy
@@ -29,6 +29,7 @@ from gri.rewards.structured import StructuredReward
 
 WIDTH = 80  # columns
 SMALL = 0.05  # [m/s²]; smaller effects round to nothing
+OVER = 3.0  # [s] from the take-over on, over which the effect of a whole vehicle is told
 APART = 0.5  # [s] between two moments that are told
 VERBS = {"follow": "follows", "yield": "yields to", "cut_in": "cuts in ahead of"}
 MEANING = {
@@ -75,7 +76,7 @@ def explanation(view: EpisodeView, run: Path) -> str:
     """The inferred graph, the drive and its reasons, as text of at most 80 columns. `run` is the run folder."""
     scenario = read_scenario(run)
     driven = [role for role in range(view.size - 1) if view.driven[:, role].any()]
-    effects, remark = _effects(view, scenario, driven)
+    again = _decided_again(view, scenario, driven)
     reward = None
     if isinstance(scenario.policy, TrainedPolicy):
         reward = checkpoint.load_reward(checkpoint_path(scenario.policy.checkpoint))
@@ -83,7 +84,9 @@ def explanation(view: EpisodeView, run: Path) -> str:
     for role in range(view.size - 1):
         lines += ["", *_drive(view, role)]
         if role in driven:
-            lines += _why([effect for effect in effects if effect.receiver == role]) if not remark else [f"  {remark}"]
+            own = [effect for effect in again.effects if effect.receiver == role]
+            lines += [f"  {again.remark}"] if again.remark else _why(own)
+            lines += _because_of(again.of_vehicles.get(role, {}), again.over)
         if role in driven and view.inferred_edges:
             lines += _reasons(view, role, scenario, reward)
     return "\n".join(_wrapped(line) for line in lines)
@@ -94,18 +97,47 @@ def _wrapped(line: str) -> str:
     return fill(line, WIDTH, subsequent_indent=indent + "  ", break_long_words=False, break_on_hyphens=False)
 
 
-def _effects(view: EpisodeView, scenario: Scenario, driven: Sequence[int]) -> tuple[list[Effect], str]:
-    """The effects of all reasons; or none, and why there are none."""
+@dataclass(frozen=True)
+class _DecidedAgain:
+    """The effects of all reasons; those of whole vehicles by receiver and sender over some time; why there are none."""
+
+    effects: Sequence[Effect] = ()
+    of_vehicles: Mapping[int, Mapping[int, float]] = field(default_factory=dict)  # [m/s²]
+    over: float = 0.0  # [s]
+    remark: str = ""
+
+
+def _decided_again(view: EpisodeView, scenario: Scenario, driven: Sequence[int]) -> _DecidedAgain:
+    """What the policy would have done without an edge, or a vehicle."""
     if not driven:
-        return [], ""
+        return _DecidedAgain()
     try:
         policy = policy_of(scenario)
     except (ImportError, InputError) as error:
-        return [], f"Its policy cannot decide again, because it cannot be loaded: {error}"
+        return _DecidedAgain(remark=f"Its policy cannot decide again, because it cannot be loaded: {error}")
     drive = drive_of(view, scenario)
     if policy is None or len(drive.state) < 2:
-        return [], "The drive is too short to decide again."
-    return effects_of(drive, policy, driven), ""
+        return _DecidedAgain(remark="The drive is too short to decide again.")
+    effects, steps = effects_of(drive, policy, driven), min(round(OVER / policy.dt), len(drive.state) - 1)
+    of_vehicles: dict[int, dict[int, float]] = {}
+    if drive.graphs and all(effect.agrees[:steps].all() for effect in effects):
+        for sender in range(view.size):
+            found = effect_of_vehicle(drive, policy, sender, driven, steps)
+            for receiver in driven:
+                if receiver != sender:
+                    of_vehicles.setdefault(receiver, {})[sender] = float(found[receiver])
+    return _DecidedAgain(effects, of_vehicles, steps * policy.dt)
+
+
+def _because_of(of_vehicles: Mapping[int, float], over: float) -> Iterator[str]:
+    """What each vehicle as a whole did to one, the largest effect first."""
+    mattered = sorted((item for item in of_vehicles.items() if abs(item[1]) >= SMALL), key=lambda item: -abs(item[1]))
+    if mattered:
+        what = ", ".join(f"`{sender}` {_signed(effect)} m/s²" for sender, effect in mattered)
+        yield (
+            f"  Because of whom: mean effect of a whole vehicle over the first {over:.1f} s, by way of others that the"
+            f" policy drives included: {what}."
+        )
 
 
 def _why(effects: Sequence[Effect]) -> Iterator[str]:

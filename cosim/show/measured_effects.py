@@ -24,7 +24,7 @@ from cosim.loop.vehicles_ahead import SpeedRecord
 from cosim.measures.statistics import Estimate, mean, share
 from cosim.process.fork import CAN_FORK, fork
 from cosim.runs.policy_loading import driver_of
-from cosim.show.action_effects import drive_of, effect_since_takeover
+from cosim.show.action_effects import drive_of, effect_of_vehicle, effect_since_takeover
 from cosim.show.episode_view import EpisodeView, episode_view
 from cosim.spec.input_files import find_net
 from cosim.spec.scenario import CarFollowing, Scenario
@@ -32,6 +32,7 @@ from cosim.traffic.running_simulation import RunningSimulation, simulation
 from cosim.traffic.scratch_files import scratch_files
 from cosim.traffic.simulation_input import prepare_simulation
 from cosim.traffic.warm_up import warm_up
+from cosim.world.episode import Episode
 from cosim.world.groups import isolated
 from cosim.world.snapshot import Snapshot
 from gri.errors import InputError
@@ -46,7 +47,7 @@ Speeds = Float[np.ndarray, "G T N"]
 
 @dataclass(frozen=True)
 class _Repeated:
-    """The speeds [m/s] of the groups of a round from the take-over on, and when [s] each drive ended."""
+    """The speeds [m/s] of the groups of a round from the take-over on, and when [s] each drive or its group ended."""
 
     speed: Speeds
     end: Float[np.ndarray, " G"]
@@ -62,10 +63,10 @@ def measured_effects(
     """One row per episode of a run, driven vehicle and other vehicle of its group.
 
     Columns: `episode`, `receiver`, `sender`, `edge` (inferred at the take-over), `over` [s] (less where a drive ended
-    before), `stated` (what the explanation says the edge, or being seen ahead, did to the acceleration, on average over
-    that time), and
-    `without_edge`, `without_vehicle` (what was measured); all effects in m/s², positive where the reason made the
-    vehicle faster. `same` says whether the repeated drive has the recorded speeds.
+    before, or another vehicle joined), `stated` (what the explanation says the edge, or being seen ahead, did to the
+    acceleration, on average over that time), `stated_vehicle` (the same of the whole vehicle, also by way of others
+    that the policy drives), and `without_edge`, `without_vehicle` (what was measured); all effects in m/s², positive
+    where the reason made the vehicle faster. `same` says whether the repeated drive has the recorded speeds.
 
     Args:
         scenario: the scenario of the run.
@@ -133,7 +134,7 @@ def _rows_of_round(
         def go() -> _Repeated:
             episodes = drive(running.world, running.frame, start)
             kept = [episode.feature("v")[episode.time >= episode.group.time - 1e-6] for episode in episodes]
-            return _Repeated(np.stack(kept), np.array([episode.end for episode in episodes]))
+            return _Repeated(np.stack(kept), np.array([_same_until(episode) for episode in episodes]))
 
         return fork(go).result()
 
@@ -161,6 +162,7 @@ def _rows_of_round(
             assert driver.policy is not None, "SUMO's drivers have no graph"
             unnamed = kind is None and not isinstance(driver.policy, FollowsNextAhead)
             stated = 0.0 if unnamed else effect_since_takeover(replay, driver.policy, i, j, steps)
+            stated_vehicle = float(effect_of_vehicle(replay, driver.policy, i, driven, steps)[j])
             yield {
                 "episode": view.number,
                 "receiver": j,
@@ -168,15 +170,23 @@ def _rows_of_round(
                 "edge": "none" if kind is None else kind.value,
                 "over": steps * short.dt,
                 "stated": stated,
+                "stated_vehicle": stated_vehicle,
                 "without_edge": effect(of_edge[i, j]),
                 "without_vehicle": effect(of_vehicle[i]),
                 "same": same,
             }
 
 
+def _same_until(episode: Episode) -> float:
+    """When [s] a drive ends, or another vehicle has a role in it."""
+    return min(episode.end, float(episode.time[episode.unchanged][-1]))
+
+
 @dataclass(frozen=True)
 class Faithfulness:
     """How many explanations name the vehicle whose absence changes most, beside trivial ones; and how far off they are.
+
+    The named cause is the vehicle with the largest stated effect, by way of others included.
 
     `explained` are driven vehicles for which an effect of at least SMALL is stated. `error` [m/s²] is the mean absolute
     difference between the stated effect of their cause and the measured one.
@@ -200,7 +210,7 @@ def faithfulness(rows: pd.DataFrame, in_lane: bool, clusters: str = "episode") -
     named, ahead, chance, error, largest, clustered, vehicles = [], [], [], [], [], [], 0
     for _, part in rows.groupby([clusters, "receiver"]):
         vehicles, receiver = vehicles + 1, int(part["receiver"].iloc[0])
-        stated, measured = part["stated"].abs().to_numpy(), part["without_vehicle"].abs().to_numpy()
+        stated, measured = part["stated_vehicle"].abs().to_numpy(), part["without_vehicle"].abs().to_numpy()
         if stated.max() < SMALL:
             continue
         cause, truth = int(stated.argmax()), int(measured.argmax())
@@ -210,7 +220,7 @@ def faithfulness(rows: pd.DataFrame, in_lane: bool, clusters: str = "episode") -
         next_ahead = receiver + 1 if in_lane else {0: 2, 1: 0}[receiver]
         ahead.append(real and senders[truth] == next_ahead)
         chance.append(real / len(part))
-        error.append(abs(part["stated"].iloc[cause] - part["without_vehicle"].iloc[cause]))
+        error.append(abs(part["stated_vehicle"].iloc[cause] - part["without_vehicle"].iloc[cause]))
         largest.append(float(measured.max()))
         clustered.append(part[clusters].iloc[0])
     which = np.array(clustered)

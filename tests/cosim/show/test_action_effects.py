@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 import torch
 
-from cosim.show.action_effects import AGREES, Drive, drive_of, effect_since_takeover, effects_of
+from cosim.show.action_effects import (
+    AGREES,
+    Drive,
+    Outside,
+    drive_of,
+    effect_of_vehicle,
+    effect_since_takeover,
+    effects_of,
+)
 from cosim.show.episode_view import EpisodeView, InferredEdge
 from cosim.spec.loading import load_scenario
 from cosim.spec.scenario import Scenario
@@ -77,6 +85,30 @@ def test_a_policy_that_follows_who_is_ahead_has_a_reason_without_an_edge():
     assert found["ahead 2"].second[:10].min() < -0.3
     assert effect_since_takeover(drive, policy, 2, 1, 5) < -0.1
     assert [effect.reason for effect in effects_of(drive, policy.model, [1])] == ["yield 0"]
+
+
+def test_others_that_are_near_are_seen_ahead():
+    others = Outside(
+        *np.array([[40.0, 60.0, 30.0], [0.0, 0.0, 3.5], [9.0, 5.0, 1.0], [5.0, 5.0, 5.0], [1.8, 1.8, 1.8]])
+    )
+    found = others.next_ahead(np.array([20.0, 50.0, 70.0]), np.array([0.0, 0.1, 0.0]))
+    np.testing.assert_allclose(found.gap, [[15.0, 5.0, np.inf]])
+    np.testing.assert_allclose(found.v, [[9.0, 5.0, 0.0]])
+    nobody = Outside(*np.zeros((5, 0))).next_ahead(np.zeros(3), np.zeros(3))
+    assert np.isinf(nobody.gap).all()
+
+
+def test_a_vehicle_outside_the_group_is_no_reason_but_counts_in_every_decision():
+    policy, edges = FollowsNextAhead(checkpoint.load("us101_car_following")), {(2, 1): EdgeType.FOLLOW}
+    start = torch.tensor([[0.0, 15.0, 0.0], [60.0, 15.0, 0.0], [90.0, 15.0, 0.0]])
+    states = driven(policy, edges, start)
+    slow = [Outside(*np.array([[20.0], [0.0], [5.0], [5.0], [1.8]]))] * len(states)
+    alone = Drive(states, states[:1].transpose(0, 1), [edges] * len(states))
+    beside = replace(alone, outside=slow, origin=(np.zeros(3), 0.0))
+    assert effect_of_vehicle(alone, policy, 2, [1], 10)[0] == pytest.approx(0.0, abs=1e-6)
+    assert abs(effect_of_vehicle(beside, policy, 2, [0, 1], 10)[0]) > 0.3, (
+        "0 brakes for it, and was recorded without it"
+    )
 
 
 START = torch.tensor([[0.0, 20.0, 0.0], [35.0, 20.0, 0.0], [70.0, 20.0, -0.5]])

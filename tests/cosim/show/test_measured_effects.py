@@ -2,12 +2,15 @@
 
 import pandas as pd
 import pytest
+import torch
 
 from cosim.runs.run import run
 from cosim.runs.run_reading import read_tables
-from cosim.show.action_effects import effect_since_takeover
+from cosim.show.action_effects import Drive, effect_of_vehicle, effect_since_takeover
 from cosim.show.measured_effects import faithfulness, faithfulness_table, measured_effects
 from cosim.spec.loading import load_scenario, override
+from gri import checkpoint
+from gri.core.edges import EdgeType
 from gri.errors import InputError
 from tests.cosim.show.test_action_effects import DT, START, ByHand, driven, in_one_lane
 
@@ -22,9 +25,23 @@ def test_the_stated_effect_over_a_time_is_known_by_hand():
     assert effect_since_takeover(drive, policy, 2, 0, 10) == pytest.approx(0.0, abs=1e-9)
 
 
+def test_a_vehicle_acts_by_way_of_others():
+    """0 follows 1, which follows a slow 2: without 2 vehicle 1 is faster, and so is 0, which has no edge from 2."""
+    policy, edges = checkpoint.load("us101_car_following"), {(1, 0): EdgeType.FOLLOW, (2, 1): EdgeType.FOLLOW}
+    start = torch.tensor([[0.0, 15.0, 0.0], [20.0, 15.0, 0.0], [45.0, 8.0, 0.0]])
+    states = driven(policy, edges, start)
+    drive = Drive(states, states[:1].transpose(0, 1), [edges] * len(states))
+    of_2, of_1 = (effect_of_vehicle(drive, policy, sender, [0, 1], 15) for sender in (2, 1))
+    assert of_2[1] == pytest.approx(effect_since_takeover(drive, policy, 2, 1, 15))
+    assert effect_since_takeover(drive, policy, 2, 0, 15) == pytest.approx(0.0, abs=1e-6)
+    assert of_2[1] < of_2[0] < -0.05
+    assert of_1[0] == pytest.approx(effect_since_takeover(drive, policy, 1, 0, 15))
+    assert of_1[1] == pytest.approx(0.0, abs=1e-6)
+
+
 def rows(*of: tuple[int, int, int, float, float]) -> pd.DataFrame:
     """Rows of (episode, receiver, sender, stated, measured without the vehicle)."""
-    return pd.DataFrame(of, columns=["episode", "receiver", "sender", "stated", "without_vehicle"])
+    return pd.DataFrame(of, columns=["episode", "receiver", "sender", "stated_vehicle", "without_vehicle"])
 
 
 def test_a_cause_is_right_if_nothing_else_changes_more():
