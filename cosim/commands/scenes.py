@@ -68,9 +68,10 @@ def scenes(
     max_work: MaxWorkOption = None,
     table_format: FormatOption = "table",
 ) -> None:
-    """Make labelled scenes from simulated traffic, of three vehicles or of chains of `group.size`.
+    """Make labelled scenes of vehicles from simulated traffic.
 
-    The labels say which vehicle follows, yields to or cuts in on which.
+    The labels say which vehicle follows, yields to or cuts in on which. Scenes have three vehicles, or chains of
+    group.size.
     """
     from cosim.commands.scene_options import changed, kinds_of, rules_of, with_car_following
     from cosim.spec.loading import load_scenario, override
