@@ -8,7 +8,7 @@ does not see the sender of the edge ahead of it either; a vehicle without an edg
 Begin with `effects_of`.
 """
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 
@@ -23,7 +23,7 @@ from cosim.spec.scenario import CarFollowing, Scenario
 from cosim.world.road_frame import model_offsets
 from gri.core.dynamics import DUBINS, POINT_MASS_1D
 from gri.core.graph import FOLLOWING, LANE_CHANGING, EdgeType, InteractionGraph
-from gri.core.nearby import OWN_WIDTH, NextAhead
+from gri.core.nearby import Nearby, NextAhead
 from gri.core.policy import Policy, PolicyState
 from gri.core.trajectory import Trajectory
 from gri.networks.next_ahead import FollowsNextAhead
@@ -69,13 +69,9 @@ class Outside:
 
     def next_ahead(self, s: Float[np.ndarray, " N"], d: Float[np.ndarray, " N"]) -> NextAhead:
         """The next one ahead in the path of each of N vehicles at these places, as a policy is told it."""
-        ahead, across = self.s - s[:, None], np.abs(self.d - d[:, None])
-        in_path = (ahead > 0) & (across < 0.5 * (self.width + OWN_WIDTH))
-        gap = np.where(in_path, ahead - self.length, np.inf)
-        if not gap.shape[1]:
-            return NextAhead(np.full((1, len(s)), np.inf, np.float32), np.zeros((1, len(s)), np.float32))
-        v = np.where(np.isfinite(gap.min(1)), self.v[gap.argmin(1)], 0.0)
-        return NextAhead(gap.min(1)[None].astype(np.float32), v[None].astype(np.float32))
+        from_each = (self.s - s[:, None], self.d - d[:, None], self.v, self.length, self.width)
+        ahead, across, v, length, width = (torch.from_numpy(of[None]).float() for of in from_each)
+        return NextAhead.of(Nearby(ahead, across, v, length, width, torch.ones_like(v, dtype=torch.bool)))
 
 
 @dataclass(frozen=True)
@@ -176,11 +172,7 @@ def effect_since_takeover(drive: Drive, policy: Policy, sender: int, receiver: i
 
     The receiver drives without the edge from the take-over on, all others as recorded.
     """
-    own = _Replay(policy, drive)
-    without = own._graphs([{p: kind for p, kind in g.items() if p != (sender, receiver)} for g in drive.graphs])
-    last = _without_for(own.unaware({(sender, receiver)}), without, own.memories(), [], receiver, 0, steps)
-    v = policy.dynamics.speed
-    return float(drive.state[steps, receiver, v] - last[v]) / (steps * policy.dt)
+    return float(_effect_of_pairs(drive, policy, {(sender, receiver)}, [receiver], steps)[receiver])
 
 
 @torch.inference_mode()
@@ -191,15 +183,25 @@ def effect_of_vehicle(
 
     All `driven` vehicles drive together without its edges from the take-over on, the others as recorded.
     """
-    own = _Replay(policy, drive)
-    count, v = drive.state.shape[1], policy.dynamics.speed
-    blind = own.unaware({(sender, receiver) for receiver in range(count) if receiver != sender})
-    without = own._graphs([{p: kind for p, kind in g.items() if p[0] != sender} for g in drive.graphs])
-    memory, state, drivers = own.memories()[0], drive.state[0], list(driven)
+    others = [receiver for receiver in range(drive.state.shape[1]) if receiver != sender]
+    return _effect_of_pairs(drive, policy, {(sender, receiver) for receiver in others}, driven, steps)
+
+
+def _effect_of_pairs(
+    drive: Drive, policy: Policy, pairs: Collection[tuple[int, int]], driven: Sequence[int], steps: int
+) -> Float[np.ndarray, " N"]:
+    """What these pairs (sender, receiver) did to the mean acceleration [m/s²] of each vehicle in the first `steps`.
+
+    The `driven` vehicles drive together without them from the take-over on, the others as recorded.
+    """
+    own = _Replay(policy, drive).unaware(pairs)
+    without = own._graphs([{p: kind for p, kind in g.items() if p not in pairs} for g in drive.graphs])
+    memory, state, drivers = own.begin(), drive.state[0], list(driven)
     for t in range(steps):
-        after, memory = blind.next(replace(memory, graph=without[t]), state, [], t)
+        after, memory = own.next(replace(memory, graph=without[t]), state, [], t)
         state = drive.state[t + 1].clone()
         state[drivers] = after[drivers]
+    v = policy.dynamics.speed
     return ((drive.state[steps, :, v] - state[:, v]) / (steps * policy.dt)).numpy()
 
 
@@ -224,13 +226,16 @@ class _Replay:
     policy: Policy
     drive: Drive
 
-    def memories(self) -> list[PolicyState]:
-        """The policy's memory before each decision, with the graph in use."""
+    def begin(self) -> PolicyState:
+        """The policy's memory at the take-over."""
         history, wanted = self.drive.history, self.policy.history_steps
         missing = history[:, :1].expand(-1, max(wanted - history.shape[1], 0), -1)  # the graph is recorded anyway
         history = torch.cat([missing, history], 1)[None, :, -wanted:]
-        memory = self.policy.begin(Trajectory.complete(_relative(history), self.policy.dt))
-        found = []
+        return self.policy.begin(Trajectory.complete(_relative(history), self.policy.dt))
+
+    def memories(self) -> list[PolicyState]:
+        """The policy's memory before each decision, with the graph in use."""
+        memory, found = self.begin(), []
         for state, graph in zip(self.drive.state, self._graphs(self.drive.graphs), strict=True):
             memory = replace(memory, graph=graph)
             found.append(memory)

@@ -194,7 +194,7 @@ class Episode:
     @property
     def unchanged(self) -> Bool[np.ndarray, " T"]:
         """The instants before another vehicle joined the group."""
-        return self.time < min((change.time for change in self.role_changes), default=np.inf) - 1e-6
+        return np.asarray(self.held.all(1))
 
     @property
     def held(self) -> Bool[np.ndarray, "T N"]:
